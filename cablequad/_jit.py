@@ -1,0 +1,46 @@
+"""The one decorator behind which numba sits.
+
+numba keys its on-disk cache by the time stamp of the file a function stands in, not by the files it calls: a change in
+`lie.py` would leave a stale `step` in use. So the cache folder is named after a hash of the whole package's sources.
+"""
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numba
+from numba.core import config
+
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def _cache_folder() -> str:
+    sources = sorted(Path(__file__).parent.glob("*.py"))
+    digest = hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()[:16]
+    root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    for parent in (root, Path(tempfile.gettempdir())):
+        folder = parent / "cablequad" / digest
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError:
+            continue
+        if os.access(folder, os.W_OK):
+            return str(folder)
+    return ""
+
+
+_CACHE_FOLDER = _cache_folder()
+
+
+def jit(function: F) -> F:
+    """Compile `function` with numba, without the GIL, cached on disk. NUMBA_DISABLE_JIT=1 leaves it plain Python."""
+    before, config.CACHE_DIR = config.CACHE_DIR, _CACHE_FOLDER
+    try:
+        compiled: F = numba.njit(cache=bool(_CACHE_FOLDER), nogil=True, error_model="numpy")(function)
+        return compiled
+    finally:
+        config.CACHE_DIR = before

@@ -1,0 +1,182 @@
+"""SO(3) and S^2 on plain arrays.
+
+Rotations are (3, 3) arrays R that take body vectors to the world frame; R' = R hat(Omega). Directions are (3,) unit
+vectors q with q' = omega x q. Rotation vectors are radians.
+
+The coefficients of the exponential map switch from trigonometric form to a power series below `SERIES` (rad^2), where
+the series is exact to rounding and cheaper.
+"""
+
+import math
+
+import numpy as np
+
+from cablequad._jit import jit
+from cablequad.types import Array
+
+SERIES = 0.06  # rad^2: below it the first omitted term of every series is under 1e-16
+
+
+@jit
+def sinc_terms(angle_sq: float) -> tuple[float, float, float]:
+    """sin(a)/a, (1 - cos a)/a^2 and (a - sin a)/a^3 for a^2 = `angle_sq` >= 0."""
+    s = angle_sq
+    if s < SERIES:
+        a = 1 - s / 6 * (1 - s / 20 * (1 - s / 42 * (1 - s / 72 * (1 - s / 110 * (1 - s / 156)))))
+        b = 0.5 * (1 - s / 12 * (1 - s / 30 * (1 - s / 56 * (1 - s / 90 * (1 - s / 132 * (1 - s / 182))))))
+        c = (1 - s / 20 * (1 - s / 42 * (1 - s / 72 * (1 - s / 110 * (1 - s / 156 * (1 - s / 210)))))) / 6
+        return a, b, c
+    angle = math.sqrt(s)
+    sin, half = math.sin(angle), math.sin(0.5 * angle)
+    return sin / angle, 2.0 * half * half / s, (angle - sin) / (s * angle)
+
+
+@jit
+def hat(v: Array) -> Array:
+    """The skew matrix of v (3,): hat(v) w = v x w."""
+    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+
+
+@jit
+def vee(S: Array) -> Array:
+    """The inverse of `hat`, of the skew part of S (3, 3)."""
+    return np.array([0.5 * (S[2, 1] - S[1, 2]), 0.5 * (S[0, 2] - S[2, 0]), 0.5 * (S[1, 0] - S[0, 1])])
+
+
+@jit
+def cross(a: Array, b: Array) -> Array:
+    """a x b for (3,) arrays."""
+    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
+@jit
+def rotate_direction(out: Array, xi: Array, q: Array) -> None:
+    """out = exp(hat(xi)) q, normalised: the action of SO(3) on S^2, in place, without allocation."""
+    x, y, z = xi[0], xi[1], xi[2]
+    a, b, _ = sinc_terms(x * x + y * y + z * z)
+    cx, cy, cz = y * q[2] - z * q[1], z * q[0] - x * q[2], x * q[1] - y * q[0]
+    ox = q[0] + a * cx + b * (y * cz - z * cy)
+    oy = q[1] + a * cy + b * (z * cx - x * cz)
+    oz = q[2] + a * cz + b * (x * cy - y * cx)
+    scale = 1.0 / math.sqrt(ox * ox + oy * oy + oz * oz)
+    out[0], out[1], out[2] = ox * scale, oy * scale, oz * scale
+
+
+@jit
+def rotate_frame(out: Array, R: Array, xi: Array) -> None:
+    """out = R exp(hat(xi)), in place, without allocation; `out` must not be R."""
+    x, y, z = xi[0], xi[1], xi[2]
+    a, b, _ = sinc_terms(x * x + y * y + z * z)
+    e00, e01, e02 = 1 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y
+    e10, e11, e12 = b * x * y + a * z, 1 - b * (x * x + z * z), b * y * z - a * x
+    e20, e21, e22 = b * x * z - a * y, b * y * z + a * x, 1 - b * (x * x + y * y)
+    for r in range(3):
+        r0, r1, r2 = R[r, 0], R[r, 1], R[r, 2]
+        out[r, 0] = r0 * e00 + r1 * e10 + r2 * e20
+        out[r, 1] = r0 * e01 + r1 * e11 + r2 * e21
+        out[r, 2] = r0 * e02 + r1 * e12 + r2 * e22
+
+
+@jit
+def exp(xi: Array) -> Array:
+    """The rotation by |xi| rad about xi, (3, 3)."""
+    out = np.empty((3, 3))
+    rotate_frame(out, np.eye(3), xi)
+    return out
+
+
+@jit
+def orthonormalize(R: Array) -> None:
+    """One Newton step towards the nearest rotation, R (3 I - R'R) / 2, in place: removes rounding drift."""
+    s00, s01, s02, s11, s12, s22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for r in range(3):
+        s00 += R[r, 0] * R[r, 0]
+        s01 += R[r, 0] * R[r, 1]
+        s02 += R[r, 0] * R[r, 2]
+        s11 += R[r, 1] * R[r, 1]
+        s12 += R[r, 1] * R[r, 2]
+        s22 += R[r, 2] * R[r, 2]
+    for r in range(3):
+        a, b, c = R[r, 0], R[r, 1], R[r, 2]
+        R[r, 0] = 1.5 * a - 0.5 * (a * s00 + b * s01 + c * s02)
+        R[r, 1] = 1.5 * b - 0.5 * (a * s01 + b * s11 + c * s12)
+        R[r, 2] = 1.5 * c - 0.5 * (a * s02 + b * s12 + c * s22)
+
+
+@jit
+def quat_from_rotation(R: Array) -> Array:
+    """The unit quaternion (w, x, y, z) of R with w >= 0, by the largest of the four squares (no cancellation)."""
+    trace = R[0, 0] + R[1, 1] + R[2, 2]
+    squares = np.array([trace, R[0, 0], R[1, 1], R[2, 2]])
+    k = int(np.argmax(squares))
+    out = np.empty(4)
+    if k == 0:
+        out[0] = 1.0 + trace
+        out[1], out[2], out[3] = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
+    elif k == 1:
+        out[0], out[1] = R[2, 1] - R[1, 2], 1.0 + 2.0 * R[0, 0] - trace
+        out[2], out[3] = R[0, 1] + R[1, 0], R[0, 2] + R[2, 0]
+    elif k == 2:
+        out[0], out[1] = R[0, 2] - R[2, 0], R[0, 1] + R[1, 0]
+        out[2], out[3] = 1.0 + 2.0 * R[1, 1] - trace, R[1, 2] + R[2, 1]
+    else:
+        out[0], out[1] = R[1, 0] - R[0, 1], R[0, 2] + R[2, 0]
+        out[2], out[3] = R[1, 2] + R[2, 1], 1.0 + 2.0 * R[2, 2] - trace
+    norm = math.sqrt(out[0] ** 2 + out[1] ** 2 + out[2] ** 2 + out[3] ** 2)
+    return out / (norm if out[0] >= 0.0 else -norm)
+
+
+@jit
+def rotation_from_quat(quat_wxyz: Array) -> Array:
+    """The rotation of a quaternion (w, x, y, z) of any non-zero norm, (3, 3)."""
+    w, x, y, z = quat_wxyz[0], quat_wxyz[1], quat_wxyz[2], quat_wxyz[3]
+    s = 2.0 / (w * w + x * x + y * y + z * z)
+    return np.array(
+        [
+            [1 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y)],
+            [s * (x * y + w * z), 1 - s * (x * x + z * z), s * (y * z - w * x)],
+            [s * (x * z - w * y), s * (y * z + w * x), 1 - s * (x * x + y * y)],
+        ]
+    )
+
+
+@jit
+def log(R: Array) -> Array:
+    """The rotation vector of R, |xi| <= pi, through the quaternion: accurate at 0 and near pi alike."""
+    quat = quat_from_rotation(R)
+    sin_half = math.sqrt(quat[1] ** 2 + quat[2] ** 2 + quat[3] ** 2)
+    if sin_half < 1e-8:
+        return 2.0 * quat[1:]
+    return (2.0 * math.atan2(sin_half, quat[0]) / sin_half) * quat[1:]
+
+
+@jit
+def right_jacobian(xi: Array) -> Array:
+    """J_r(xi): exp(xi + d) = exp(xi) exp(J_r d) to first order in d, (3, 3)."""
+    _, b, c = sinc_terms(xi[0] ** 2 + xi[1] ** 2 + xi[2] ** 2)
+    S = hat(xi)
+    return np.eye(3) - b * S + c * (S @ S)
+
+
+@jit
+def direction_to(q_from: Array, q_to: Array) -> Array:
+    """The shortest rotation vector xi, normal to q_from, with exp(hat(xi)) q_from = q_to, (3,) rad."""
+    axis = cross(q_from, q_to)
+    sin = math.sqrt(axis[0] ** 2 + axis[1] ** 2 + axis[2] ** 2)
+    cos = q_from[0] * q_to[0] + q_from[1] * q_to[1] + q_from[2] * q_to[2]
+    if sin > 1e-12:
+        return (math.atan2(sin, cos) / sin) * axis
+    if cos > 0.0:
+        return axis
+    return math.pi * tangent_basis(q_from)[:, 0]  # opposite: any normal axis
+
+
+@jit
+def tangent_basis(q: Array) -> Array:
+    """Two orthonormal columns normal to q, (3, 2): the paper's C = [e1 e2] carried from e3 to q by the shortest way."""
+    if q[2] < -1.0 + 1e-12:
+        return np.array([[1.0, 0.0], [0.0, -1.0], [0.0, 0.0]])
+    k = 1.0 / (1.0 + q[2])
+    return np.array(
+        [[1.0 - k * q[0] * q[0], -k * q[0] * q[1]], [-k * q[0] * q[1], 1.0 - k * q[1] * q[1]], [-q[0], -q[1]]]
+    )

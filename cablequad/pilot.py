@@ -1,0 +1,91 @@
+"""One control decision: measurement in, setpoints and their reasons out."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from cablequad import lie
+from cablequad._jit import jit
+from cablequad.design import Design
+from cablequad.geometric import attitude_of_force
+from cablequad.state import Error, State, local
+from cablequad.types import Array
+
+
+class Measurement(NamedTuple):
+    """What the vehicles and the payload tracker said of one instant."""
+
+    t: float  # s, vehicles' clock since release
+    state: State
+
+
+class Reference(NamedTuple):
+    """Where the payload is to be."""
+
+    x0: Array  # (3,) m, W
+    v0: Array  # (3,) m/s, W
+
+
+class Memory(NamedTuple):
+    """What one decision leaves to the next; a value, never changed in place."""
+
+    R_c: Array  # (n, 3, 3) the last commanded attitudes, kept where a force vanishes
+    thrust: Array  # (n,) N, the command under way
+
+
+class Sample(NamedTuple):
+    """One control decision and its reasons."""
+
+    t: float  # s, time of the measured state
+    state: State  # what was measured
+    reference: Reference
+    error: Error  # x, x_dot in the chart around the target
+    A: Array  # (n, 3) N, W: ideal forces, A_i = u_i* - K_x x - K_xdot x_dot
+    R_c: Array  # (n, 3, 3) B -> W: commanded attitudes
+    f: Array  # (n,) N: commanded thrusts, f_i = -A_i . R_i e3 within the rotors' limits
+    Psi_0: float  # 1/2 tr(I - R_0d'R_0)
+    Psi: Array  # (n,) 1/2 tr(I - R_ic'R_i)
+    e_q: float  # sum |q_ij - e3|
+    e_omega: float  # rad/s, sum |omega_ij|
+
+
+def first_memory(design: Design) -> Memory:
+    """What the pilot knows before its first decision."""
+    return Memory(design.hanging.R.copy(), -design.u_star[:, 2])
+
+
+def tick(memory: Memory, measurement: Measurement, reference: Reference, design: Design) -> tuple[Memory, Sample]:
+    """The setpoints that answer `measurement`. Non-finite measurements give non-finite commands: callers must check."""
+    s = measurement.state
+    target = design.hanging._replace(x0=reference.x0, v0=reference.v0)
+    error = local(design.system, target, s)
+    A = design.u_star - (design.K_x @ error.x + design.K_xdot @ error.x_dot).reshape(-1, 3)
+    R_c, f, Psi = _commands(A, s.R, design.b1, memory.R_c, design.max_thrust)
+    e_q, e_omega, Psi_0 = _link_errors(design.system.n_links, s.q, s.omega, s.R0)
+    sample = Sample(measurement.t, s, reference, error, A, R_c, f, Psi_0, Psi, e_q, e_omega)
+    return Memory(R_c, f), sample
+
+
+@jit
+def _commands(A: Array, R: Array, b1: Array, R_before: Array, max_thrust: Array) -> tuple[Array, Array, Array]:
+    n = A.shape[0]
+    R_c, f, Psi = np.empty((n, 3, 3)), np.empty(n), np.empty(n)
+    for i in range(n):
+        b3 = R[i, :, 2]
+        size = np.sqrt(A[i, 0] ** 2 + A[i, 1] ** 2 + A[i, 2] ** 2)
+        vanishes = size < 1e-6 or np.sqrt(np.sum(lie.cross(A[i], b1[i]) ** 2)) < 1e-6 * size
+        R_c[i] = R_before[i] if vanishes else attitude_of_force(A[i], b1[i])
+        f[i] = min(max(-(A[i, 0] * b3[0] + A[i, 1] * b3[1] + A[i, 2] * b3[2]), 0.0), max_thrust[i])
+        Psi[i] = 0.5 * (3.0 - np.sum(R_c[i] * R[i]))
+    return R_c, f, Psi
+
+
+@jit
+def _link_errors(n_links: Array, q: Array, omega: Array, R0: Array) -> tuple[float, float, float]:
+    e_q, e_omega = 0.0, 0.0
+    for i in range(n_links.shape[0]):
+        for j in range(n_links[i]):
+            x, y, z = q[i, j, 0], q[i, j, 1], q[i, j, 2] - 1.0
+            e_q += np.sqrt(x * x + y * y + z * z)
+            e_omega += np.sqrt(omega[i, j, 0] ** 2 + omega[i, j, 1] ** 2 + omega[i, j, 2] ** 2)
+    return e_q, e_omega, 0.5 * (3.0 - (R0[0, 0] + R0[1, 1] + R0[2, 2]))

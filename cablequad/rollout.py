@@ -1,0 +1,45 @@
+"""A flight with no wire in it: tick and step in a for-loop, with the same rates, delay and attitude loops."""
+
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+from cablequad.attitude import Airframe, Setpoint, fly
+from cablequad.design import Design
+from cablequad.integrate import scratch
+from cablequad.pilot import Measurement, Reference, Sample, first_memory, tick
+from cablequad.state import State
+
+
+class Timing(NamedTuple):
+    """The rates of a sampled loop."""
+
+    period: float  # s between decisions
+    steps: int  # physics steps per period
+    delay: int = 1  # ticks: a setpoint computed from tick k acts from tick k + delay
+
+
+def rollout(
+    design: Design,
+    airframe: Airframe,
+    plan: Callable[[float], Reference],
+    initial: State,
+    timing: Timing,
+    ticks: int,
+) -> Iterator[Sample]:
+    """The samples of ticks 0 .. `ticks`, the state stepped between them by the design's own model.
+
+    Before the release the pilot already answers the initial state, so the commands under way at t = 0 are its answer
+    to that state.
+    """
+    system = design.system
+    h = timing.period / timing.steps
+    state = initial.copy()
+    work = scratch(system, state)
+    memory, sample = tick(first_memory(design), Measurement(0.0, initial), plan(0.0), design)
+    under_way = [Setpoint.attitude(sample.R_c, sample.f)] * timing.delay
+    for k in range(ticks + 1):
+        t = k * timing.period
+        memory, sample = tick(memory, Measurement(t, state.copy()), plan(t), design)
+        yield sample
+        under_way.append(Setpoint.attitude(sample.R_c, sample.f))
+        fly(system, airframe, under_way.pop(0), state, h, timing.steps, work)

@@ -1,0 +1,130 @@
+"""What changes during a flight, and the one chart on it."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from cablequad import lie
+from cablequad._jit import jit
+from cablequad.system import System
+from cablequad.types import Array
+
+
+class State(NamedTuple):
+    """Configuration and velocities of payload, links and quadrotors."""
+
+    x0: Array  # (3,) m, W: payload centre of mass
+    v0: Array  # (3,) m/s, W
+    R0: Array  # (3, 3) payload -> W
+    Omega0: Array  # (3,) rad/s, payload frame
+    q: Array  # (n, L, 3) unit, W: direction of link j, from quadrotor to payload; padding e3
+    omega: Array  # (n, L, 3) rad/s, W, normal to q; padding 0
+    R: Array  # (n, 3, 3) quadrotor -> W
+    Omega: Array  # (n, 3) rad/s, body frames
+
+    @classmethod
+    def hanging(cls, system: System, x0: Array | tuple[float, float, float] = (0.0, 0.0, 0.0)) -> "State":
+        """At rest at `x0` with a level payload, vertical cables and level quadrotors."""
+        n, L = system.length.shape
+        return cls(
+            x0=np.array(x0, dtype=float),
+            v0=np.zeros(3),
+            R0=np.eye(3),
+            Omega0=np.zeros(3),
+            q=np.tile(np.array([0.0, 0.0, 1.0]), (n, L, 1)),
+            omega=np.zeros((n, L, 3)),
+            R=np.tile(np.eye(3), (n, 1, 1)),
+            Omega=np.zeros((n, 3)),
+        )
+
+    def copy(self) -> "State":
+        """The same values in arrays of their own."""
+        return State(*(a.copy() for a in self))
+
+
+class Error(NamedTuple):
+    """A state's coordinates in the chart around a target, as the linear model orders them."""
+
+    x: Array  # (6 + 2 N,) [dx_0 m, eta_0 rad, C'xi_ij rad ...], N links in all
+    x_dot: Array  # (6 + 2 N,) [dv_0, Omega_0, C'omega_ij ...]
+
+
+@jit
+def local(system: System, target: State, state: State) -> Error:
+    """Coordinates of `state` in the chart around `target` (the payload and links; quadrotor attitudes are inputs there).
+
+    eta_0 is the rotation vector of R_0d' R_0; xi_ij is the shortest rotation vector from q_ijd to q_ij in the basis C
+    carried to q_ijd. To first order these are the variations of Proposition 2.
+    """
+    D = 6 + 2 * np.sum(system.n_links)
+    x, x_dot = np.empty(D), np.empty(D)
+    x[0:3] = state.x0 - target.x0
+    x[3:6] = lie.log(np.ascontiguousarray(target.R0.T) @ state.R0)
+    x_dot[0:3] = state.v0 - target.v0
+    x_dot[3:6] = state.Omega0 - target.Omega0
+    k = 6
+    for i in range(system.m.shape[0]):
+        for j in range(system.n_links[i]):
+            C = lie.tangent_basis(target.q[i, j])
+            xi = lie.direction_to(target.q[i, j], state.q[i, j])
+            w = state.omega[i, j] - target.omega[i, j]
+            for b in range(2):
+                x[k + b] = xi[0] * C[0, b] + xi[1] * C[1, b] + xi[2] * C[2, b]
+                x_dot[k + b] = w[0] * C[0, b] + w[1] * C[1, b] + w[2] * C[2, b]
+            k += 2
+    return Error(x, x_dot)
+
+
+@jit
+def retract(system: System, target: State, error: Error) -> State:
+    """The state with coordinates `error` around `target`: the inverse of `local` (link rates made normal to q)."""
+    out = State(
+        target.x0 + error.x[0:3],
+        target.v0 + error.x_dot[0:3],
+        target.R0 @ lie.exp(error.x[3:6]),
+        target.Omega0 + error.x_dot[3:6],
+        target.q.copy(),
+        target.omega.copy(),
+        target.R.copy(),
+        target.Omega.copy(),
+    )
+    k = 6
+    for i in range(system.m.shape[0]):
+        for j in range(system.n_links[i]):
+            C = lie.tangent_basis(target.q[i, j])
+            xi = error.x[k] * C[:, 0] + error.x[k + 1] * C[:, 1]
+            lie.rotate_direction(out.q[i, j], xi, target.q[i, j])
+            w = target.omega[i, j] + error.x_dot[k] * C[:, 0] + error.x_dot[k + 1] * C[:, 1]
+            q = out.q[i, j]
+            # the component along q is chosen so that q . omega = 0 while C'omega stays as given
+            qd = target.q[i, j]
+            along = q[0] * qd[0] + q[1] * qd[1] + q[2] * qd[2]
+            wq = w[0] * q[0] + w[1] * q[1] + w[2] * q[2]
+            out.omega[i, j] = w - (wq / along) * qd if abs(along) > 1e-3 else w - wq * q
+            k += 2
+    return out
+
+
+def positions(system: System, state: State) -> Array:
+    """(n, L + 1, 3) m, W: the quadrotor, then the payload-side end of each link (the last is the attachment point).
+
+    The paper's x_i and x_ij; entries beyond `n_links[i]` repeat the attachment point.
+    """
+    return _nodes(system, state.q, state.x0, (state.R0 @ system.rho.T).T)
+
+
+def velocities(system: System, state: State) -> Array:
+    """(n, L + 1, 3) m/s, W: the velocities of `positions`."""
+    q_dot = np.cross(state.omega, state.q)
+    rho_dot = (state.R0 @ np.cross(state.Omega0, system.rho).T).T
+    return _nodes(system, q_dot, state.v0, rho_dot)
+
+
+def _nodes(system: System, link: Array, origin: Array, offset: Array) -> Array:
+    """origin + offset_i - sum_{a > j} l_ia link_ia for j = 0 .. L."""
+    n, L = system.length.shape
+    used = np.arange(L)[None, :] < system.n_links[:, None]
+    steps = np.where(used[..., None], system.length[..., None] * link, 0.0)
+    below = np.concatenate([np.cumsum(steps[:, ::-1], axis=1)[:, ::-1], np.zeros((n, 1, 3))], axis=1)
+    nodes: Array = (origin + offset)[:, None, :] - below
+    return nodes
