@@ -106,24 +106,19 @@ def orthonormalize(R: Array) -> None:
 @jit
 def quat_from_rotation(R: Array) -> Array:
     """The unit quaternion (w, x, y, z) of R with w >= 0, by the largest of the four squares (no cancellation)."""
-    trace = R[0, 0] + R[1, 1] + R[2, 2]
-    squares = np.array([trace, R[0, 0], R[1, 1], R[2, 2]])
-    k = int(np.argmax(squares))
-    out = np.empty(4)
-    if k == 0:
-        out[0] = 1.0 + trace
-        out[1], out[2], out[3] = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
-    elif k == 1:
-        out[0], out[1] = R[2, 1] - R[1, 2], 1.0 + 2.0 * R[0, 0] - trace
-        out[2], out[3] = R[0, 1] + R[1, 0], R[0, 2] + R[2, 0]
-    elif k == 2:
-        out[0], out[1] = R[0, 2] - R[2, 0], R[0, 1] + R[1, 0]
-        out[2], out[3] = 1.0 + 2.0 * R[1, 1] - trace, R[1, 2] + R[2, 1]
+    r00, r11, r22 = R[0, 0], R[1, 1], R[2, 2]
+    trace = r00 + r11 + r22
+    if trace >= max(r00, r11, r22):
+        w, x, y, z = 1.0 + trace, R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
+    elif r00 >= max(r11, r22):
+        w, x, y, z = R[2, 1] - R[1, 2], 1.0 + 2.0 * r00 - trace, R[0, 1] + R[1, 0], R[0, 2] + R[2, 0]
+    elif r11 >= r22:
+        w, x, y, z = R[0, 2] - R[2, 0], R[0, 1] + R[1, 0], 1.0 + 2.0 * r11 - trace, R[1, 2] + R[2, 1]
     else:
-        out[0], out[1] = R[1, 0] - R[0, 1], R[0, 2] + R[2, 0]
-        out[2], out[3] = R[1, 2] + R[2, 1], 1.0 + 2.0 * R[2, 2] - trace
-    norm = math.sqrt(out[0] ** 2 + out[1] ** 2 + out[2] ** 2 + out[3] ** 2)
-    return out / (norm if out[0] >= 0.0 else -norm)
+        w, x, y, z = R[1, 0] - R[0, 1], R[0, 2] + R[2, 0], R[1, 2] + R[2, 1], 1.0 + 2.0 * r22 - trace
+    norm = math.sqrt(w * w + x * x + y * y + z * z)
+    scale = 1.0 / (norm if w >= 0.0 else -norm)
+    return np.array([w * scale, x * scale, y * scale, z * scale])
 
 
 @jit

@@ -39,6 +39,7 @@ class Sample(NamedTuple):
     t: float  # s, time of the measured state
     state: State  # what was measured
     reference: Reference
+    memory: Memory  # what the decision started from
     error: Error  # x, x_dot in the chart around the target
     A: Array  # (n, 3) N, W: ideal forces, A_i = u_i* - K_x x - K_xdot x_dot
     R_c: Array  # (n, 3, 3) B -> W: commanded attitudes
@@ -62,7 +63,7 @@ def tick(memory: Memory, measurement: Measurement, reference: Reference, design:
     A = design.u_star - (design.K_x @ error.x + design.K_xdot @ error.x_dot).reshape(-1, 3)
     R_c, f, Psi = _commands(A, s.R, design.b1, memory.R_c, design.max_thrust)
     e_q, e_omega, Psi_0 = _link_errors(design.system.n_links, s.q, s.omega, s.R0)
-    sample = Sample(measurement.t, s, reference, error, A, R_c, f, Psi_0, Psi, e_q, e_omega)
+    sample = Sample(measurement.t, s, reference, memory, error, A, R_c, f, Psi_0, Psi, e_q, e_omega)
     return Memory(R_c, f), sample
 
 

@@ -1,0 +1,1 @@
+"""The controller's side of the wire: n autopilots and a payload tracker, over MAVLink 2."""

@@ -1,0 +1,233 @@
+"""The loop: one decision per measured state, on the vehicles' clock, until the plan is over or something ends it."""
+
+from collections.abc import Callable
+from typing import NamedTuple, Protocol
+
+from bridge.fleet import COMPONENT, SYSTEM, TRACKER, Fleet, Request
+from bridge.link import Address, Link, Received, Sent
+from bridge.observe import Instant, Observer
+from bridge.wire.messages import WireError, encode
+from cablequad.design import Design
+from cablequad.pilot import Measurement, Memory, Reference, Sample, first_memory, tick
+
+PROCESS_ANYWAY_S = 0.5  # wall clock: frames that complete no state are still acted on after this long
+SILENT_S = 3.0  # wall clock without a single frame
+HOLD_S = 6.0  # wall clock for the vehicles to take over at the end
+
+
+class Plan(NamedTuple):
+    """What the load is to do, in time since the release."""
+
+    reference: Callable[[float], Reference]
+    duration: float  # s
+
+
+class Outcome(NamedTuple):
+    """How a flight ended."""
+
+    completed: bool  # the plan was flown to its end
+    interrupted: bool  # by the user
+    reason: str
+
+
+class Timing(NamedTuple):
+    """How the loop kept time, on the wall clock."""
+
+    ticks: int
+    missed_ticks: int  # states of the vehicles that were never answered
+    intervals_s: list[float]  # between the states that were answered, in flight
+    turnaround_s: list[float]  # from a state's last frame to its last setpoint, in flight
+    flight_s: float  # wall clock from the first state answered in flight to the last
+
+
+class Record(Protocol):
+    """Where everything goes; times are microseconds of the vehicles' clock."""
+
+    def received(self, boot_us: int, frame: Received) -> None:
+        """A frame that came in."""
+
+    def sent(self, boot_us: int, frame: Sent, to: int) -> None:
+        """A frame that went out to system `to`."""
+
+    def decided(self, boot_us: int, sample: Sample, tension: list[float], flying: bool) -> None:
+        """A control decision."""
+
+    def event(self, boot_us: int, kind: str, subject: str, text: str) -> None:
+        """Something worth a line."""
+
+    def perf(self, boot_us: int, turnaround_s: float, ticks: int) -> None:
+        """How the loop is doing."""
+
+
+class _Flight:
+    """The state of one call of `fly`."""
+
+    def __init__(self, link: Link, fleet: Fleet, plan: Plan, design: Design, period: float, record: Record) -> None:
+        self.link, self.fleet, self.plan, self.design, self.record = link, fleet, plan, design, record
+        self.period_ms = round(period * 1000)
+        self.observer = Observer(design.system)
+        self.memory: Memory = first_memory(design)
+        self.routes: dict[int, tuple[int, Address]] = {}
+        self.pending: list[Received] = []
+        self.now_us = 0
+        self.processed_at = self.heard_at = link.now()
+        self.last: tuple[int, float] | None = None
+        self.started: float | None = None
+        self.ticks = self.missed = 0
+        self.intervals: list[float] = []
+        self.turnaround: list[float] = []
+        self.released = False
+
+    @property
+    def flown(self) -> float:
+        """Seconds since the release on the vehicles' clock; negative before."""
+        released = self.fleet.released_at
+        return -1.0 if released is None else self.now_us * 1e-6 - released
+
+    def step(self) -> Sample | None:
+        """Take what has come in; answer the newest complete state if there is one."""
+        frames = self.link.poll(0.1)
+        arrived = self.link.now()
+        if frames:
+            self.heard_at = arrived
+        for frame in frames:
+            self._route(frame)
+            self.pending.append(frame)
+            if frame.component == (1 if frame.system != TRACKER else COMPONENT):
+                self.observer.feed(frame.system, frame.value)
+        instant = self.observer.take()
+        if instant is not None:
+            self.now_us = instant.boot_ms * 1000
+        elif not self.pending or arrived - self.processed_at < PROCESS_ANYWAY_S:
+            return None
+        self.processed_at = arrived
+        self._process()
+        if instant is None:
+            self._send(self.fleet.due(self.now_us * 1e-6))
+            return None
+        return self._answer(instant, arrived)
+
+    def _route(self, frame: Received) -> None:
+        known = self.routes.setdefault(frame.system, (frame.port, frame.address))
+        if known != (frame.port, frame.address) and frame.system <= self.fleet.n and frame.component == 1:
+            here = "{}:{}".format(*known[1])
+            there = "{}:{}".format(*frame.address)
+            self.fleet.failure = self.fleet.failure or (
+                f"two vehicles have system id {frame.system}: {here} and {there}; give each its own"
+            )
+
+    def _process(self) -> None:
+        """Feed the fleet in an order that does not depend on which socket was read first."""
+        self.pending.sort(key=lambda frame: frame.system)
+        now = self.now_us * 1e-6
+        for frame in self.pending:
+            if frame.value is not None:
+                self.fleet.feed(frame.system, frame.component, frame.value, now)
+            self.record.received(self.now_us, frame)
+        self.pending = []
+        if self.fleet.released_at is not None and not self.released:
+            self.released = True
+            self.record.event(self.now_us, "release", "all", "every vehicle carries itself: t = 0")
+        for source, said in self.fleet.texts():
+            self.record.event(self.now_us, "statustext", f"vehicle {source}", said.text)
+
+    def _answer(self, instant: Instant, arrived: float) -> Sample:
+        now = instant.boot_ms * 1e-3
+        t = max(0.0, self.flown)
+        self.memory, sample = tick(
+            self.memory, Measurement(t, instant.state), self.plan.reference(t), self.design
+        )
+        try:
+            setpoints = self.fleet.setpoints(sample, instant.boot_ms)
+        except WireError as error:  # nothing that is not finite goes out; the vehicles' own failsafes take over
+            setpoints = []
+            self.fleet.failure = self.fleet.failure or str(error)
+        self.fleet.observed(now, instant.position_gap.tolist())
+        self._send(self.fleet.due(now) + setpoints)
+        done = self.link.now()
+        self.record.decided(self.now_us, sample, instant.tension.tolist(), self.fleet.flying)
+        self._time(instant.boot_ms, arrived, done)
+        return sample
+
+    def _send(self, requests: list[Request]) -> None:
+        for system, value in requests:
+            message = encode(value)
+            targets = [system] if system is not None else [*range(1, self.fleet.n + 1)]
+            for target in targets:
+                route = self.routes.get(target)
+                if route is not None:
+                    sent = self.link.send(route[0], SYSTEM, COMPONENT, message, route[1])
+                    self.record.sent(self.now_us, sent, target)
+
+    def _time(self, boot_ms: int, arrived: float, done: float) -> None:
+        self.ticks += 1
+        if self.fleet.flying and self.started is None:
+            self.started = arrived
+        elif self.fleet.flying and self.last is not None:
+            self.missed += max(0, (boot_ms - self.last[0]) // self.period_ms - 1)
+            self.intervals.append(arrived - self.last[1])
+            self.turnaround.append(done - arrived)
+        self.last = (boot_ms, arrived)
+        if self.ticks % max(1, 1000 // self.period_ms) == 0:
+            self.record.perf(self.now_us, done - arrived, self.ticks)
+
+    def timing(self) -> Timing:
+        """What the loop measured of itself."""
+        flight = 0.0 if self.started is None or self.last is None else self.last[1] - self.started
+        return Timing(self.ticks, self.missed, self.intervals, self.turnaround, flight)
+
+
+def fly(
+    link: Link,
+    fleet: Fleet,
+    plan: Plan,
+    design: Design,
+    period: float,
+    record: Record,
+    connect_timeout_s: float,
+    watch: Callable[[str, Sample | None], str | None],
+) -> tuple[Outcome, Timing]:
+    """Bring the fleet up, fly the plan, leave every vehicle holding. Never raises for what vehicles or users do.
+
+    `watch` is called after every decision with the phase and the sample (None while nothing is heard); what it returns
+    ends the run with that reason.
+    """
+    flight = _Flight(link, fleet, plan, design, period, record)
+    begun = link.now()
+    interrupted, completed, reason = False, False, ""
+    try:
+        while not reason:
+            sample = flight.step()
+            phase = "fly" if fleet.flying else "prepare"
+            waiting = fleet.unheard()
+            if waiting and link.now() - begun > connect_timeout_s:
+                reason = f"{', '.join(waiting)}: nothing heard within {connect_timeout_s:g} s; is it running and sending here?"
+            elif link.now() - flight.heard_at > SILENT_S and not waiting:
+                reason = f"every vehicle is silent since t = {flight.now_us * 1e-6:.2f} s of their clock"
+            elif fleet.failure is not None:
+                reason = fleet.failure
+            elif sample is not None and fleet.flying and sample.t >= plan.duration - 1e-9:
+                completed, reason = True, "plan flown to its end"
+            else:
+                reason = watch(phase, sample) or ""
+    except KeyboardInterrupt:
+        interrupted, reason = True, "interrupted by the user"
+    timing = flight.timing()
+    record.event(flight.now_us, "end", "all", reason)
+    _let_go(flight)
+    return Outcome(completed, interrupted, reason), timing
+
+
+def _let_go(flight: _Flight) -> None:
+    """Keep answering until every vehicle holds by itself, for a bounded time."""
+    fleet, link = flight.fleet, flight.link
+    deadline = link.now() + HOLD_S
+    fleet.hold(flight.now_us * 1e-6)
+    try:
+        while not fleet.at_rest and link.now() < min(deadline, flight.heard_at + SILENT_S):
+            flight.step()
+        flight._process()
+    except KeyboardInterrupt:
+        return
+    record_text = "every vehicle holds by itself" if fleet.at_rest else "not every vehicle confirmed that it holds"
+    flight.record.event(flight.now_us, "hold", "all", record_text)

@@ -1,0 +1,206 @@
+"""What a vehicle says of itself: one builder per streamed message, from one snapshot in SI units."""
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from bridge.wire.dialect import Message, mavlink
+from bridge.wire.messages import encode
+from bridge.wire.values import LandedState, VehicleAttitude, VehiclePosition
+from cablequad import lie
+from cablequad.types import Array
+
+EARTH_RADIUS = 6378137.0  # m
+_NO_FIELD = 65535
+
+
+class Home(NamedTuple):
+    """Where local (0, 0, 0) lies."""
+
+    latitude_deg: float = 47.397742
+    longitude_deg: float = 8.545594
+    altitude_m: float = 488.0
+
+
+class Snapshot(NamedTuple):
+    """Everything a vehicle knows of itself at one instant."""
+
+    boot_us: int
+    R: Array  # (3, 3) B -> W
+    Omega: Array  # (3,) rad/s, B
+    x: Array  # (3,) m, W
+    v: Array  # (3,) m/s, W
+    specific_force: Array  # (3,) m/s^2, B: what an accelerometer reads
+    throttle: float  # 0..1, motor command
+    armed: bool
+    landed: int
+    offboard_target: tuple[Array, Array, float]  # commanded R_c (3, 3), rates (3,) rad/s, thrust 0..1
+    home: Home
+
+    @property
+    def boot_ms(self) -> int:
+        """Milliseconds since boot."""
+        return self.boot_us // 1000
+
+
+def euler(R: Array) -> tuple[float, float, float]:
+    """Roll, pitch, yaw in rad (z-y-x)."""
+    pitch = math.asin(max(-1.0, min(1.0, -float(R[2, 0]))))
+    return math.atan2(R[2, 1], R[2, 2]), pitch, math.atan2(R[1, 0], R[0, 0])
+
+
+def _geodetic(s: Snapshot) -> tuple[int, int, int]:
+    """Latitude and longitude in 1e-7 deg, altitude in mm, on a sphere around home."""
+    lat = s.home.latitude_deg + math.degrees(s.x[0] / EARTH_RADIUS)
+    lon = s.home.longitude_deg + math.degrees(s.x[1] / (EARTH_RADIUS * math.cos(math.radians(s.home.latitude_deg))))
+    return round(lat * 1e7), round(lon * 1e7), round((s.home.altitude_m - s.x[2]) * 1e3)
+
+
+def _heading_cdeg(s: Snapshot) -> int:
+    return round(math.degrees(euler(s.R)[2]) * 100) % 36000
+
+
+def _attitude(s: Snapshot) -> Message:
+    return mavlink.MAVLink_attitude_message(s.boot_ms, *euler(s.R), *s.Omega.tolist())
+
+
+def _quaternion(s: Snapshot) -> Message:
+    return encode(VehicleAttitude(s.boot_ms, s.R, s.Omega))
+
+
+def _local(s: Snapshot) -> Message:
+    return encode(VehiclePosition(s.boot_ms, s.x, s.v))
+
+
+def _global(s: Snapshot) -> Message:
+    lat, lon, alt = _geodetic(s)
+    cm_s = np.rint(s.v * 100).astype(int).tolist()
+    return mavlink.MAVLink_global_position_int_message(
+        s.boot_ms, lat, lon, alt, round(-s.x[2] * 1e3), *cm_s, _heading_cdeg(s)
+    )
+
+
+def _imu(s: Snapshot) -> Message:
+    field = (s.R.T @ np.array([0.21, 0.01, 0.43])).tolist()
+    altitude = s.home.altitude_m - float(s.x[2])
+    hPa = 1013.25 * (1 - 2.25577e-5 * altitude) ** 5.25588
+    return mavlink.MAVLink_highres_imu_message(
+        s.boot_us, *s.specific_force.tolist(), *s.Omega.tolist(), *field, hPa, 0.0, altitude, 25.0, 0x1BFF
+    )
+
+
+def _odometry(s: Snapshot) -> Message:
+    quat = lie.quat_from_rotation(s.R).tolist()
+    body = (s.R.T @ s.v).tolist()
+    unknown = [math.nan] + [0.0] * 20
+    return mavlink.MAVLink_odometry_message(
+        s.boot_us, mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_FRAME_BODY_FRD, *s.x.tolist(), quat, *body,
+        *s.Omega.tolist(), unknown, unknown, 0, mavlink.MAV_ESTIMATOR_TYPE_AUTOPILOT, 100,
+    )  # fmt: skip
+
+
+def _attitude_target(s: Snapshot) -> Message:
+    R_c, rates, thrust = s.offboard_target
+    return mavlink.MAVLink_attitude_target_message(
+        s.boot_ms, 0, lie.quat_from_rotation(R_c).tolist(), *rates.tolist(), abs(thrust)
+    )
+
+
+def _servos(s: Snapshot) -> Message:
+    pwm = round(1000 + 1000 * s.throttle) if s.armed else 1000
+    return mavlink.MAVLink_servo_output_raw_message(s.boot_us & 0xFFFFFFFF, 0, pwm, pwm, pwm, pwm, 0, 0, 0, 0)
+
+
+def _hud(s: Snapshot) -> Message:
+    return mavlink.MAVLink_vfr_hud_message(
+        0.0, math.hypot(s.v[0], s.v[1]), _heading_cdeg(s) // 100, round(100 * s.throttle),
+        s.home.altitude_m - float(s.x[2]), -float(s.v[2]),
+    )  # fmt: skip
+
+
+def _altitude(s: Snapshot) -> Message:
+    up = -float(s.x[2])
+    amsl = s.home.altitude_m + up
+    return mavlink.MAVLink_altitude_message(s.boot_us, amsl, amsl, up, up, math.nan, math.nan)
+
+
+def _position_target(s: Snapshot) -> Message:
+    nan3 = [math.nan] * 3
+    return mavlink.MAVLink_position_target_local_ned_message(
+        s.boot_ms, mavlink.MAV_FRAME_LOCAL_NED, 0, *nan3, *nan3, *nan3, math.nan, math.nan
+    )
+
+
+def _gps(s: Snapshot) -> Message:
+    lat, lon, alt = _geodetic(s)
+    speed = math.hypot(s.v[0], s.v[1])
+    course = round(math.degrees(math.atan2(s.v[1], s.v[0])) * 100) % 36000 if speed > 0.1 else _NO_FIELD
+    return mavlink.MAVLink_gps_raw_int_message(s.boot_us, 3, lat, lon, alt, 70, 110, round(speed * 100), course, 12)
+
+
+_SENSORS = (
+    mavlink.MAV_SYS_STATUS_SENSOR_3D_GYRO
+    | mavlink.MAV_SYS_STATUS_SENSOR_3D_ACCEL
+    | mavlink.MAV_SYS_STATUS_SENSOR_3D_MAG
+    | mavlink.MAV_SYS_STATUS_SENSOR_ABSOLUTE_PRESSURE
+    | mavlink.MAV_SYS_STATUS_SENSOR_GPS
+    | mavlink.MAV_SYS_STATUS_GEOFENCE
+    | mavlink.MAV_SYS_STATUS_AHRS
+    | mavlink.MAV_SYS_STATUS_PREARM_CHECK
+    | mavlink.MAV_SYS_STATUS_SENSOR_BATTERY
+)
+
+
+def _sys_status(s: Snapshot) -> Message:
+    del s
+    return mavlink.MAVLink_sys_status_message(_SENSORS, _SENSORS, _SENSORS, 150, 16200, 100, 100, 0, 0, 0, 0, 0, 0)
+
+
+def _landed(s: Snapshot) -> Message:
+    return encode(LandedState(s.landed))
+
+
+def _system_time(s: Snapshot) -> Message:
+    return mavlink.MAVLink_system_time_message(0, s.boot_ms)
+
+
+def _estimator(s: Snapshot) -> Message:
+    return mavlink.MAVLink_estimator_status_message(s.boot_us, 831, 0.02, 0.02, 0.02, 0.02, 0.0, 0.0, 0.1, 0.1)
+
+
+def _battery(s: Snapshot) -> Message:
+    del s
+    cells = [4050] * 4 + [_NO_FIELD] * 6
+    return mavlink.MAVLink_battery_status_message(0, 0, 1, 2500, cells, 100, 0, -1, 100)
+
+
+def _home(s: Snapshot) -> Message:
+    h = s.home
+    return mavlink.MAVLink_home_position_message(
+        round(h.latitude_deg * 1e7), round(h.longitude_deg * 1e7), round(h.altitude_m * 1e3),
+        0.0, 0.0, 0.0, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0, s.boot_us,
+    )  # fmt: skip
+
+
+BUILD: dict[int, Callable[[Snapshot], Message]] = {
+    mavlink.MAVLINK_MSG_ID_ATTITUDE: _attitude,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: _quaternion,
+    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: _local,
+    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: _global,
+    mavlink.MAVLINK_MSG_ID_HIGHRES_IMU: _imu,
+    mavlink.MAVLINK_MSG_ID_ODOMETRY: _odometry,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET: _attitude_target,
+    mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: _servos,
+    mavlink.MAVLINK_MSG_ID_VFR_HUD: _hud,
+    mavlink.MAVLINK_MSG_ID_ALTITUDE: _altitude,
+    mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: _position_target,
+    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: _gps,
+    mavlink.MAVLINK_MSG_ID_SYS_STATUS: _sys_status,
+    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: _landed,
+    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: _system_time,
+    mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: _estimator,
+    mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: _battery,
+    mavlink.MAVLINK_MSG_ID_HOME_POSITION: _home,
+}

@@ -1,0 +1,188 @@
+"""What crosses the wire, in SI units, world NED, body FRD."""
+
+from typing import NamedTuple
+
+from cablequad.types import Array
+
+
+class Heartbeat(NamedTuple):
+    """HEARTBEAT (#0); fields as numbered by MAVLink."""
+
+    type: int
+    autopilot: int
+    base_mode: int
+    custom_mode: int
+    system_status: int
+
+    @property
+    def armed(self) -> bool:
+        """Whether the motors are armed."""
+        return bool(self.base_mode & 128)
+
+
+class VehicleAttitude(NamedTuple):
+    """ATTITUDE_QUATERNION (#31)."""
+
+    boot_ms: int
+    R: Array  # (3, 3) B -> W
+    Omega: Array  # (3,) rad/s, B
+
+
+class VehiclePosition(NamedTuple):
+    """LOCAL_POSITION_NED (#32)."""
+
+    boot_ms: int
+    x: Array  # (3,) m, W
+    v: Array  # (3,) m/s, W
+
+
+class PayloadState(NamedTuple):
+    """ODOMETRY (#331) of the payload tracker: frame LOCAL_NED, child frame BODY_NED, so twist in the payload frame."""
+
+    boot_us: int
+    x0: Array  # (3,) m, W
+    v0: Array  # (3,) m/s, W
+    R0: Array  # (3, 3) payload -> W
+    Omega0: Array  # (3,) rad/s, payload frame
+
+
+class CableShape(NamedTuple):
+    """CABLE_STATE (#53100): some consecutive links of one cable."""
+
+    boot_us: int
+    cable: int  # 1..n
+    n_links: int  # of the whole cable
+    first_link: int  # from 0
+    tension_N: float  # of the link at the payload
+    q: Array  # (k, 3) unit, W, quadrotor -> payload
+    omega: Array  # (k, 3) rad/s, W
+
+
+class AttitudeTarget(NamedTuple):
+    """SET_ATTITUDE_TARGET (#82) as it stands on the wire: a vehicle judges it, so nothing is normalised here."""
+
+    boot_ms: int  # time of the state it answers
+    system: int
+    component: int
+    type_mask: int
+    quat_wxyz: tuple[float, float, float, float]
+    rates: tuple[float, float, float]  # rad/s
+    thrust: float  # 0..1
+
+
+class Command(NamedTuple):
+    """COMMAND_LONG (#76)."""
+
+    system: int
+    component: int
+    command: int
+    params: tuple[float, float, float, float, float, float, float]
+    confirmation: int = 0
+
+
+class CommandAck(NamedTuple):
+    """COMMAND_ACK (#77)."""
+
+    command: int
+    result: int
+    system: int  # who asked
+    component: int
+
+
+class SetMode(NamedTuple):
+    """SET_MODE (#11)."""
+
+    system: int
+    base_mode: int
+    custom_mode: int
+
+
+class ParamRequestRead(NamedTuple):
+    """PARAM_REQUEST_READ (#20); index -1 asks by name."""
+
+    system: int
+    component: int
+    name: str
+    index: int = -1
+
+
+class ParamRequestList(NamedTuple):
+    """PARAM_REQUEST_LIST (#21)."""
+
+    system: int
+    component: int
+
+
+class ParamSet(NamedTuple):
+    """PARAM_SET (#23); `value` is the float as it stands on the wire."""
+
+    system: int
+    component: int
+    name: str
+    value: float
+    type: int
+
+
+class ParamValue(NamedTuple):
+    """PARAM_VALUE (#22); `value` is the float as it stands on the wire."""
+
+    name: str
+    value: float
+    type: int
+    count: int
+    index: int
+
+
+class Timesync(NamedTuple):
+    """TIMESYNC (#111), ns; tc1 = 0 asks."""
+
+    tc1: int
+    ts1: int
+
+
+class Ping(NamedTuple):
+    """PING (#4); system and component 0 ask."""
+
+    time_us: int
+    seq: int
+    system: int
+    component: int
+
+
+class StatusText(NamedTuple):
+    """STATUSTEXT (#253)."""
+
+    severity: int
+    text: str
+
+
+class LandedState(NamedTuple):
+    """EXTENDED_SYS_STATE (#245): 1 on ground, 2 in air."""
+
+    landed: int
+
+
+class MissionRequestList(NamedTuple):
+    """MISSION_REQUEST_LIST (#43)."""
+
+    system: int
+    component: int
+
+
+class MissionCount(NamedTuple):
+    """MISSION_COUNT (#44)."""
+
+    system: int
+    component: int
+    count: int
+
+
+class ServerVersion(NamedTuple):
+    """AUTOPILOT_VERSION (#148)."""
+
+    capabilities: int
+    version: tuple[int, int, int]
+    uid: int
+
+
+ON_GROUND, IN_AIR = 1, 2

@@ -1,0 +1,1 @@
+"""Every run as one MCAP file: written, read back, replayed."""

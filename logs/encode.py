@@ -1,0 +1,159 @@
+"""Values -> the messages of each topic."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from google.protobuf.timestamp_pb2 import Timestamp
+
+from cablequad import lie
+from cablequad.pilot import Sample
+from cablequad.state import State, positions
+from cablequad.system import System
+from cablequad.types import Array
+from logs.schema import cablequad_pb2 as pb
+
+COLORS = (  # Okabe-Ito, told apart by colour-blind readers; vehicle i has colour i, wherever it is drawn
+    (230, 159, 0), (86, 180, 233), (0, 158, 115), (204, 121, 167), (240, 228, 66), (213, 94, 0), (0, 114, 178),
+)  # fmt: skip
+ROTOR_ARM = 0.17  # m, drawn only
+
+
+class Model(NamedTuple):
+    """What a log needs to know of the system to draw it."""
+
+    system: System
+    box: tuple[float, float, float]  # m, edges of the payload
+    max_thrust: tuple[float, ...]  # N
+
+
+class Motion(NamedTuple):
+    """Where everything is at one instant."""
+
+    state: State
+    x: Array  # (n, 3) m, quadrotors
+    v: Array  # (n, 3) m/s
+    tension: Array  # (n, L) N
+    thrust: Array  # (n,) N
+
+
+def color(i: int) -> tuple[int, int, int]:
+    """Vehicle i's colour, i from 0."""
+    return COLORS[i % len(COLORS)]
+
+
+def measured_motion(model: Model, sample: Sample, tension: Sequence[float], thrust: Array) -> Motion:
+    """The motion as a controller knows it where no simulator tells: positions by the cables, tensions at the load."""
+    nodes = positions(model.system, sample.state)
+    spread = np.repeat(np.asarray(tension)[:, None], model.system.length.shape[1], axis=1)
+    return Motion(sample.state, nodes[:, 0], np.zeros_like(nodes[:, 0]), spread, thrust)
+
+
+def plant(boot_us: int, held: bool, m: Motion) -> Any:
+    """/plant/state."""
+    s = m.state
+    return pb.PlantState(
+        sim_time_ns=boot_us * 1000, step=boot_us // 1000, held=held,
+        payload_position=s.x0, payload_velocity=s.v0,
+        payload_attitude=lie.quat_from_rotation(s.R0), payload_rate=s.Omega0,
+        quad_position=m.x.ravel(), quad_velocity=m.v.ravel(), quad_attitude=_quats(s.R), quad_rate=s.Omega.ravel(),
+        link_direction=s.q.ravel(), link_rate=s.omega.ravel(), tension=m.tension.ravel(), thrust=m.thrust,
+    )  # fmt: skip
+
+
+def control(boot_us: int, sample: Sample, tension: Sequence[float], flying: bool) -> Any:
+    """/control/state."""
+    s, e = sample.state, sample.error
+    return pb.ControlState(
+        sim_time_ns=boot_us * 1000, t=sample.t, phase="fly" if flying else "prepare",
+        e_x0=e.x[0:3], e_v0=e.x_dot[0:3], Psi_0=sample.Psi_0, e_Omega0=e.x_dot[3:6], Psi=sample.Psi,
+        e_Omega=s.Omega.ravel(), e_q=sample.e_q, e_w=sample.e_omega, ideal_force=sample.A.ravel(), thrust=sample.f,
+        attitude=_quats(sample.R_c), memory_thrust=sample.memory.thrust, state_age=0.0,
+        position=s.x0, velocity=s.v0, tension=tension, payload_attitude=lie.quat_from_rotation(s.R0),
+        quad_attitude=_quats(s.R), link_direction=s.q.ravel(),
+    )  # fmt: skip
+
+
+def reference(boot_us: int, sample: Sample) -> Any:
+    """/control/reference."""
+    r = sample.reference
+    return pb.ControlReference(
+        sim_time_ns=boot_us * 1000, payload_position=r.x0, payload_velocity=r.v0,
+        payload_attitude=(1.0, 0.0, 0.0, 0.0), link_direction=(0.0, 0.0, 1.0),
+    )  # fmt: skip
+
+
+def log_line(ns: int, kind: str, subject: str, text: str) -> Any:
+    """/log."""
+    level = Log.Level.WARNING if kind in ("answer-missing", "failure") else Log.Level.INFO
+    return Log(timestamp=_stamp(ns), level=level, message=f"{subject}: {text}", name=kind, file="", line=0)
+
+
+def scene(model: Model, epoch_ns: int) -> Any:
+    """/scene: bodies that ride on the frames of /tf."""
+    update = SceneUpdate()
+    box = update.entities.add(timestamp=_stamp(epoch_ns), frame_id="payload", id="payload", frame_locked=True)
+    box.lifetime.SetInParent()
+    _cube(box, model.box, (0.35, 0.45, 0.75, 1.0))
+    for i in range(len(model.system.m)):
+        r, g, b = (c / 255 for c in color(i))
+        name = f"quad{i + 1}"
+        body = update.entities.add(timestamp=_stamp(epoch_ns), frame_id=name, id=name, frame_locked=True)
+        body.lifetime.SetInParent()
+        _cube(body, (2 * ROTOR_ARM, 0.04, 0.03), (r, g, b, 1.0))
+        _cube(body, (0.04, 2 * ROTOR_ARM, 0.03), (r, g, b, 1.0))
+        for j in range(int(model.system.n_links[i])):
+            frame = _link_frame(i, j)
+            link = update.entities.add(timestamp=_stamp(epoch_ns), frame_id=frame, id=frame, frame_locked=True)
+            link.lifetime.SetInParent()
+            _cube(link, (0.012, 0.012, float(model.system.length[i, j])), (0.85, 0.85, 0.4, 1.0))
+    return update
+
+
+def transforms(model: Model, m: Motion, ns: int, first: bool) -> Any:
+    """/tf: world_ned -> payload, vehicles and the middle of every link; map_enu -> world_ned once."""
+    out = FrameTransforms()
+    stamp = _stamp(ns)
+    if first:
+        half = float(np.sqrt(0.5))
+        _transform(out, stamp, "map_enu", "world_ned", np.zeros(3), np.array([0.0, half, half, 0.0]))
+    s = m.state
+    _transform(out, stamp, "world_ned", "payload", s.x0, lie.quat_from_rotation(s.R0))
+    nodes = positions(model.system, s)
+    for i in range(len(model.system.m)):
+        _transform(out, stamp, "world_ned", f"quad{i + 1}", m.x[i], lie.quat_from_rotation(s.R[i]))
+        for j in range(int(model.system.n_links[i])):
+            middle = 0.5 * (nodes[i, j] + nodes[i, j + 1])
+            turn = lie.exp(lie.direction_to(np.array([0.0, 0.0, 1.0]), s.q[i, j]))
+            _transform(out, stamp, "world_ned", _link_frame(i, j), middle, lie.quat_from_rotation(turn))
+    return out
+
+
+def _link_frame(i: int, j: int) -> str:
+    return f"cable{i + 1}_link{j + 1}"
+
+
+def _quats(R: Array) -> list[float]:
+    return [value for frame in R for value in lie.quat_from_rotation(frame).tolist()]
+
+
+def _stamp(ns: int) -> Timestamp:
+    return Timestamp(seconds=ns // 10**9, nanos=ns % 10**9)
+
+
+def _cube(entity: Any, size: Sequence[float], rgba: Sequence[float]) -> None:
+    cube = entity.cubes.add()
+    cube.pose.position.SetInParent()
+    cube.pose.orientation.w = 1.0
+    cube.size.x, cube.size.y, cube.size.z = size
+    cube.color.r, cube.color.g, cube.color.b, cube.color.a = rgba
+
+
+def _transform(out: Any, stamp: Timestamp, parent: str, child: str, x: Array, quat_wxyz: Array) -> None:
+    t = out.transforms.add(timestamp=stamp, parent_frame_id=parent, child_frame_id=child)
+    t.translation.x, t.translation.y, t.translation.z = x.tolist()
+    t.rotation.w, t.rotation.x, t.rotation.y, t.rotation.z = quat_wxyz.tolist()
+    t.translation.SetInParent()

@@ -1,0 +1,1 @@
+"""The conductor: scenarios, the `cablequad` command, and what composes vehicles, bridge and log."""

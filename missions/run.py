@@ -1,0 +1,297 @@
+"""One flight: vehicles (ours, or what is there), bridge and log put together."""
+
+import json
+import math
+import platform
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib import metadata as packages
+from pathlib import Path
+from types import FrameType
+
+import numpy as np
+
+from bridge.fleet import Fleet
+from bridge.fly import Outcome, Plan, Timing, fly
+from bridge.link import Endpoint, Link, LinkError, Received, Sent
+from cablequad.design import Design
+from cablequad.pilot import Measurement, Reference, Sample, first_memory, tick
+from logs.encode import Model, Motion
+from logs.recorder import Attachment, Recorder, RecorderError
+from missions import scenario as scenarios
+from missions.scenario import Flight
+from missions.simulate import Simulator, settings
+from missions.summary import Summary, Track, summarize
+from sitl.plant import Truth
+from sitl.server import HOST, Event
+
+SWITCH_S = 0.0005  # the writer thread gives the interpreter back to the control loop this often
+
+
+@dataclass(frozen=True)
+class Options:
+    """How to fly."""
+
+    connect: tuple[str, ...] = ()
+    out: Path = Path("runs")
+    speed: float = math.inf  # inf: lockstep, as fast as the machine allows
+    port_offset: int = 0
+
+
+class Progress:
+    """What a flight tells while it goes on; the base class is silent."""
+
+    def say(self, text: str) -> None:
+        """A line for the user."""
+
+    def flown(self, t: float, duration: float, error_m: float, factor: float) -> None:
+        """How far the flight is."""
+
+
+class _Watch:
+    """Passes everything on to the recorder and keeps the figures."""
+
+    def __init__(self, recorder: Recorder) -> None:
+        self.recorder = recorder
+        self.track = Track()
+        self.released = False
+        self.ended = False
+        self._truth_tension = False
+
+    def received(self, boot_us: int, frame: Received) -> None:
+        self.recorder.received(boot_us, frame)
+
+    def sent(self, boot_us: int, frame: Sent, to: int) -> None:
+        self.recorder.sent(boot_us, frame, to)
+
+    def decided(self, boot_us: int, sample: Sample, tension: list[float], flying: bool) -> None:
+        self.recorder.decided(boot_us, sample, tension, flying)
+        if flying and not self.ended:
+            self.track.decided(sample)
+            if not self._truth_tension:
+                self.track.tension(min(tension))
+
+    def event(self, boot_us: int, kind: str, subject: str, text: str) -> None:
+        self.recorder.event(boot_us, kind, subject, text)
+        self.ended = self.ended or kind == "end"
+
+    def perf(self, boot_us: int, turnaround_s: float, ticks: int) -> None:
+        self.recorder.perf(boot_us, turnaround_s, ticks)
+
+    def truth(self, truth: Truth, n_links: np.ndarray) -> None:
+        motion = Motion(truth.state, truth.x, truth.v, truth.tension, truth.thrust)
+        self.recorder.truth(truth.boot_us, truth.held, motion)
+        if not truth.held and not self.ended:
+            if not self._truth_tension:
+                self._truth_tension, self.track.min_tension_N = True, math.inf
+            used = np.arange(truth.tension.shape[1])[None, :] < n_links[:, None]
+            self.track.tension(float(truth.tension[used].min()))
+
+
+def run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary, bool]:
+    """Fly; the summary and whether the user interrupted. What goes wrong is the summary's reason, never an exception."""
+    design = scenarios.design(flight)
+    for note in flight.notes:
+        progress.say(note)
+    try:
+        return _run(flight, design, options, progress)
+    except (LinkError, RecorderError) as error:
+        return _nothing(flight, str(error)), False
+
+
+def _run(flight: Flight, design: Design, options: Options, progress: Progress) -> tuple[Summary, bool]:
+    n = len(flight.system.m)
+    link = Link(_endpoints(n, options))
+    simulator: Simulator | None = None
+    recorder: Recorder | None = None
+    before = sys.getswitchinterval()
+    try:
+        recorder = _recorder(flight, design, options)
+        watch = _Watch(recorder)
+        if not options.connect:
+            values = settings(
+                flight, lockstep=math.isinf(options.speed), await_controller=True, speed=options.speed,
+                port_offset=options.port_offset, host=HOST,
+            )  # fmt: skip
+            n_links = flight.system.n_links
+            simulator = Simulator(
+                values,
+                lambda truth: watch.truth(truth, n_links),
+                lambda e: watch.recorder.event(e.boot_us, f"sitl-{e.kind}", e.subject, e.text),
+            )
+            progress.say("starting the vehicles (the first start on a machine compiles the model: about half a minute)")
+        _warm_up(design, flight)
+        sys.setswitchinterval(SWITCH_S)
+        with _interrupts() as interrupted:
+            if simulator is not None and not simulator.wait_ready(lambda: not interrupted()):
+                outcome = Outcome(False, interrupted(), simulator.failure or "interrupted by the user")
+                timing = Timing(0, 0, [], [], 0.0)
+            else:
+                outcome, timing = _fly(flight, design, options, link, watch, simulator, interrupted, progress)
+        if simulator is not None:
+            simulator.stop()
+        missed = 0
+        if simulator is not None and simulator.report is not None:
+            missed = simulator.report.missed_deadlines + simulator.report.missed_answers
+        summary = summarize(
+            flight.scenario.name, flight.scenario.acceptance, watch.track, outcome, timing,
+            link.counters.sent, link.counters.lost, missed, n,
+        )  # fmt: skip
+        recorder.metadata("result", {k: json.dumps(v) for k, v in summary._asdict().items() if k not in ("log", "replay")})
+        path = recorder.finish()
+        if recorder.error is not None:
+            summary = summary._replace(passed=False, reason=recorder.error)
+        return summary._replace(log=str(path)), outcome.interrupted
+    finally:
+        sys.setswitchinterval(before)
+        if simulator is not None:
+            simulator.stop()
+        link.close()
+
+
+def _fly(
+    flight: Flight,
+    design: Design,
+    options: Options,
+    link: Link,
+    watch: _Watch,
+    simulator: Simulator | None,
+    interrupted: Callable[[], bool],
+    progress: Progress,
+) -> tuple[Outcome, Timing]:
+    s = flight.scenario
+    target = Reference(np.array(s.target.position_m), np.zeros(3))
+    plan = Plan(lambda _: target, s.duration_s)
+    fleet = Fleet(flight.airframe.max_thrust.tolist(), flight.control_us * 1e-6)
+    started: list[float] = []
+
+    def look(phase: str, sample: Sample | None) -> str | None:
+        if interrupted():
+            return "interrupted by the user"
+        if watch.recorder.error is not None:
+            return watch.recorder.error
+        if simulator is not None and simulator.failure is not None:
+            return simulator.failure
+        if sample is not None and phase == "fly":
+            now = time.monotonic()
+            if not started:
+                started.append(now)
+            error = float(np.linalg.norm(sample.error.x[:3]))
+            progress.flown(sample.t, s.duration_s, error, sample.t / max(1e-9, now - started[0]))
+        return None
+
+    outcome, timing = fly(
+        link, fleet, plan, design, flight.control_us * 1e-6, watch, s.link.connect_timeout_s, look
+    )
+    return outcome._replace(interrupted=outcome.interrupted or interrupted()), timing
+
+
+def _endpoints(n: int, options: Options) -> list[Endpoint]:
+    if options.connect:
+        return [Endpoint.parse(url) for url in options.connect]
+    ports = [14540 + i for i in range(n)] + [14600]
+    return [Endpoint((HOST, port + options.port_offset), None) for port in ports]
+
+
+def _warm_up(design: Design, flight: Flight) -> None:
+    """Compile what the loop calls before anything waits for it."""
+    tick(first_memory(design), Measurement(0.0, flight.initial), Reference(flight.initial.x0, np.zeros(3)), design)
+
+
+@contextmanager
+def _interrupts() -> Iterator[Callable[[], bool]]:
+    """While inside, Ctrl-C and SIGTERM only raise a flag, so that a flight ends in order; a second Ctrl-C is a stop."""
+    flag: list[int] = []
+
+    def raised(number: int, frame: FrameType | None) -> None:
+        flag.append(number)
+        if len(flag) > 1:
+            raise KeyboardInterrupt
+
+    try:
+        old = {s: signal.signal(s, raised) for s in (signal.SIGINT, signal.SIGTERM)}
+    except ValueError:  # not in the main thread: whoever runs us handles signals
+        yield lambda: False
+        return
+    try:
+        yield lambda: bool(flag)
+    finally:
+        for number, handler in old.items():
+            signal.signal(number, handler)
+
+
+def _recorder(flight: Flight, design: Design, options: Options) -> Recorder:
+    s = flight.scenario
+    try:
+        options.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RecorderError(f"folder {options.out}: {error.strerror}; choose another with --out") from None
+    stamp = time.strftime("%Y%m%d-%H%M%S")
+    path = options.out / f"{s.name}-{stamp}.mcap"
+    serial = 1
+    while path.exists() or path.with_name(path.name + ".part").exists():
+        serial += 1
+        path = options.out / f"{s.name}-{stamp}-{serial}.mcap"
+    model = Model(flight.system, tuple(s.payload.box_m), tuple(flight.airframe.max_thrust.tolist()))
+    about = {
+        "scenario": s.name,
+        "seed": str(s.seed),
+        "started": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+        "cablequad": packages.version("cablequad"),
+        "python": platform.python_version(),
+        "git_commit": _commit(),
+        "time": "vehicles' clock" + (" in lockstep" if math.isinf(options.speed) and not options.connect else ""),
+        "frame": "NED world, FRD bodies",
+        "quaternion_order": "wxyz",
+        "units": "SI",
+        "vehicles": "connected" if options.connect else "built-in",
+    }
+    system = flight.system
+    drawn = {
+        "n": system.m.tolist().__len__(),
+        "n_links": system.n_links.tolist(),
+        "lengths_m": system.length.tolist(),
+        "attachments_m": system.rho.tolist(),
+        "box_m": list(s.payload.box_m),
+        "max_thrust_N": flight.airframe.max_thrust.tolist(),
+        "target_m": list(s.target.position_m),
+    }
+    gains = {"K_x": design.K_x.tolist(), "K_xdot": design.K_xdot.tolist(), "u_star": design.u_star.tolist()}
+    return Recorder(
+        path,
+        model,
+        {
+            "run": about,
+            "model": {key: json.dumps(value) for key, value in drawn.items()},
+            "gains": {"law": s.control.law, **{key: json.dumps(value) for key, value in gains.items()}},
+        },
+        [
+            Attachment("scenario.toml", "application/toml", flight.source.encode()),
+            Attachment("scenario.json", "application/json", s.model_dump_json(indent=1).encode()),
+        ],
+        s.epoch_s * 10**9,
+    )
+
+
+def _commit() -> str:
+    """The git commit of the sources that fly, if they are a checkout."""
+    try:
+        here = Path(__file__).parent
+        out = subprocess.run(
+            ["git", "-C", str(here), "rev-parse", "HEAD"], capture_output=True, text=True, timeout=2, check=False
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return "unknown"
+    return out.stdout.strip() if out.returncode == 0 else "unknown"
+
+
+def _nothing(flight: Flight, reason: str) -> Summary:
+    none = Outcome(False, False, reason)
+    return summarize(
+        flight.scenario.name, flight.scenario.acceptance, Track(), none, Timing(0, 0, [], [], 0.0), 0, 0, 0, 0
+    )

@@ -1,0 +1,362 @@
+"""A TOML scenario -> validated values, with errors that name the key and say what is allowed."""
+
+import difflib
+import math
+import tomllib
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple
+
+import numpy as np
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+
+from cablequad import lie
+from cablequad.attitude import Airframe
+from cablequad.design import Design, DesignError, Weights, paper_law
+from cablequad.stiffness import stable_substep
+from cablequad.linear import EquilibriumError
+from cablequad.state import State
+from cablequad.system import Cable, Payload, Quadrotor, System, box_inertia
+
+
+class ScenarioError(Exception):
+    """A scenario that cannot be flown; the message names the key, its value and what is allowed."""
+
+
+def _number(value: Any) -> Any:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError("a number is needed")
+    if not math.isfinite(value):
+        raise ValueError("a finite number is needed")
+    return value
+
+
+Real = Annotated[float, BeforeValidator(_number)]
+Positive = Annotated[float, BeforeValidator(_number), Field(gt=0)]
+NotNegative = Annotated[float, BeforeValidator(_number), Field(ge=0)]
+Vector = Annotated[list[Real], Field(min_length=3, max_length=3)]
+Box = Annotated[list[Positive], Field(min_length=3, max_length=3)]
+Inertia = Annotated[list[Positive], Field(min_length=3, max_length=3)]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class PayloadTable(_Table):
+    """[payload]"""
+
+    mass_kg: Positive
+    box_m: Box
+    inertia_kg_m2: Inertia | None = None
+
+
+class CableTable(_Table):
+    """[cable]"""
+
+    link_masses_kg: Annotated[list[Positive], Field(min_length=1)]
+    link_lengths_m: Annotated[list[Positive], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _same_length(self) -> "CableTable":
+        if len(self.link_masses_kg) != len(self.link_lengths_m):
+            raise ValueError(
+                f"link_masses_kg has {len(self.link_masses_kg)} values, link_lengths_m {len(self.link_lengths_m)}; "
+                "one of each per link"
+            )
+        return self
+
+
+class VehicleTable(_Table):
+    """[vehicle]"""
+
+    mass_kg: Positive
+    inertia_kg_m2: Inertia
+    max_thrust_N: Positive
+    attitude_bandwidth_rad_s: Positive = 40.0
+    attitude_damping: Positive = 0.9
+
+
+class OneVehicleTable(_Table):
+    """[[vehicles]]"""
+
+    attachment_m: Vector
+    mass_kg: Positive | None = None
+    inertia_kg_m2: Inertia | None = None
+    max_thrust_N: Positive | None = None
+    attitude_bandwidth_rad_s: Positive | None = None
+    attitude_damping: Positive | None = None
+    cable: CableTable | None = None
+    initial_attitude_deg: Vector = [0.0, 0.0, 0.0]
+    initial_link_directions: list[Vector] | None = None
+
+
+class InitialTable(_Table):
+    """[initial]"""
+
+    position_m: Vector
+    attitude_deg: Vector = [0.0, 0.0, 0.0]
+    velocity_m_s: Vector = [0.0, 0.0, 0.0]
+
+
+class TargetTable(_Table):
+    """[target]"""
+
+    position_m: Vector
+
+
+class WeightsTable(_Table):
+    """control.weights"""
+
+    position: Positive = 1.0
+    velocity: Positive = 2.0
+    attitude: Positive = 2.0
+    body_rate: Positive = 1.0
+    link_direction: Positive = 0.1
+    link_rate: Positive = 0.05
+    force: Positive = 1.0
+
+
+class ControlTable(_Table):
+    """[control]"""
+
+    law: Literal["paper"] = "paper"
+    rate_hz: Positive = 250.0
+    delay_ticks: Annotated[int, Field(ge=1, le=50)] = 1
+    weights: WeightsTable = WeightsTable()
+
+    @model_validator(mode="after")
+    def _whole_ms(self) -> "ControlTable":
+        period_ms = 1000.0 / self.rate_hz
+        if abs(period_ms - round(period_ms)) > 1e-9 or round(period_ms) < 1:
+            raise ValueError(
+                f"rate_hz: {self.rate_hz:g} given; the period must be whole milliseconds (1000, 500, 250, 200, 100, 50 ...)"
+            )
+        return self
+
+
+class PhysicsTable(_Table):
+    """[physics]"""
+
+    rate_hz: Positive = 1000.0
+
+    @model_validator(mode="after")
+    def _whole_us(self) -> "PhysicsTable":
+        period_us = 1e6 / self.rate_hz
+        if abs(period_us - round(period_us)) > 1e-6 or round(period_us) < 1:
+            raise ValueError(f"rate_hz: {self.rate_hz:g} given; the step must be whole microseconds (1000, 2000, 5000 ...)")
+        return self
+
+
+class AcceptanceTable(_Table):
+    """[acceptance]: at the end of the flight; what is not given is not asked."""
+
+    position_error_m: Positive | None = None
+    speed_m_s: Positive | None = None
+    e_q: Positive | None = None
+    psi: Positive | None = None
+    max_psi: Positive | None = None
+    max_thrust_N: Positive | None = None
+    min_tension_N: Real | None = None
+    settling_time_s: Positive | None = None
+
+
+class LinkTable(_Table):
+    """[link]"""
+
+    connect_timeout_s: Positive = 15.0
+    answer_timeout_s: Positive = 2.0
+
+
+class Scenario(_Table):
+    """One flight, as its file says it."""
+
+    name: Annotated[str, Field(min_length=1, max_length=80, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
+    description: str = ""
+    duration_s: Positive
+    seed: Annotated[int, Field(ge=0)] = 0
+    epoch_s: Annotated[int, Field(ge=0, le=4_000_000_000)] = 1_700_000_000
+    gravity_m_s2: Positive = 9.81
+    payload: PayloadTable
+    vehicle: VehicleTable
+    cable: CableTable
+    vehicles: Annotated[list[OneVehicleTable], Field(min_length=1, max_length=99)]
+    initial: InitialTable
+    target: TargetTable
+    control: ControlTable = ControlTable()
+    physics: PhysicsTable = PhysicsTable()
+    link: LinkTable = LinkTable()
+    acceptance: AcceptanceTable = AcceptanceTable()
+
+    @model_validator(mode="after")
+    def _fits(self) -> "Scenario":
+        steps = self.physics.rate_hz / self.control.rate_hz
+        if abs(steps - round(steps)) > 1e-9 or steps < 1:
+            raise ValueError(
+                f"physics.rate_hz: {self.physics.rate_hz:g} given; it must be a whole multiple of control.rate_hz "
+                f"({self.control.rate_hz:g})"
+            )
+        for i, vehicle in enumerate(self.vehicles):
+            directions, cable = vehicle.initial_link_directions, vehicle.cable or self.cable
+            if directions is not None and len(directions) != len(cable.link_lengths_m):
+                raise ValueError(
+                    f"vehicles.{i}.initial_link_directions: {len(directions)} given; the cable has "
+                    f"{len(cable.link_lengths_m)} links"
+                )
+            if directions is not None and any(np.linalg.norm(q) < 1e-6 for q in directions):
+                raise ValueError(f"vehicles.{i}.initial_link_directions: a direction has no length")
+        return self
+
+
+class Flight(NamedTuple):
+    """A scenario as values that the other rooms take."""
+
+    scenario: Scenario
+    source: str  # the file's text
+    system: System
+    airframe: Airframe
+    initial: State
+    control_us: int
+    physics_us: int
+    tick_us: int
+    notes: list[str]  # what was chosen that the file does not say
+
+
+TICK_US = 4000  # the vehicles speak at 250 Hz, or as often as control asks
+
+
+def names() -> list[str]:
+    """The scenarios that ship."""
+    folder = resources.files("missions") / "scenarios"
+    return sorted(item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml"))
+
+
+def text(name: str) -> str:
+    """The file of a shipped scenario or of a path. Raises ScenarioError naming what is missing."""
+    if name in names():
+        return (resources.files("missions") / "scenarios" / f"{name}.toml").read_text(encoding="utf-8")
+    path = Path(name)
+    if path.suffix != ".toml" and not path.exists():
+        near = difflib.get_close_matches(name, names(), 1)
+        hint = f"; did you mean {near[0]}?" if near else f"; shipped: {', '.join(names())}"
+        raise ScenarioError(f"scenario {name!r}: neither a shipped scenario nor a TOML file{hint}")
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        why = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
+        raise ScenarioError(f"scenario {name}: {why}; give a shipped name or the path of a TOML file") from None
+
+
+def parse(source: str, name: str) -> Scenario:
+    """The validated scenario. Raises ScenarioError with one line that names the key."""
+    try:
+        return Scenario.model_validate(tomllib.loads(source))
+    except tomllib.TOMLDecodeError as error:
+        raise ScenarioError(f"scenario {name}: not TOML: {error}") from None
+    except ValidationError as error:
+        raise ScenarioError(f"scenario {name}: {_explain(error)}") from None
+
+
+def load(name: str, duration_s: float | None = None, seed: int | None = None) -> Flight:
+    """A flight from a shipped name or a path. Raises ScenarioError."""
+    source = text(name)
+    scenario = parse(source, name)
+    changes: dict[str, Any] = {}
+    if duration_s is not None:
+        changes["duration_s"] = duration_s
+    if seed is not None:
+        changes["seed"] = seed
+    if changes:
+        scenario = scenario.model_copy(update=changes)
+    try:
+        return _flight(scenario, source)
+    except ValueError as error:
+        raise ScenarioError(f"scenario {name}: {error}") from None
+
+
+def design(flight: Flight) -> Design:
+    """The controller of a flight. Raises ScenarioError where the system has no equilibrium or no stabilising gains."""
+    w = flight.scenario.control.weights
+    weights = Weights(w.position, w.velocity, w.attitude, w.body_rate, w.link_direction, w.link_rate, w.force)
+    try:
+        return paper_law(flight.system, weights, flight.airframe.max_thrust)
+    except (EquilibriumError, DesignError) as error:
+        raise ScenarioError(f"scenario {flight.scenario.name}: {error}") from None
+
+
+def rotation_deg(roll_pitch_yaw: list[float]) -> np.ndarray:
+    """R_z(yaw) R_y(pitch) R_x(roll), (3, 3), from degrees."""
+    roll, pitch, yaw = np.radians(roll_pitch_yaw)
+    e = np.eye(3)
+    return lie.exp(yaw * e[2]) @ lie.exp(pitch * e[1]) @ lie.exp(roll * e[0])
+
+
+def _flight(s: Scenario, source: str) -> Flight:
+    def of(vehicle: OneVehicleTable, key: str) -> Any:
+        own = getattr(vehicle, key)
+        return getattr(s.vehicle, key) if own is None else own
+
+    cables = [v.cable or s.cable for v in s.vehicles]
+    inertia = s.payload.inertia_kg_m2 or box_inertia(s.payload.mass_kg, s.payload.box_m)
+    system = System.of(
+        Payload(s.payload.mass_kg, inertia, [v.attachment_m for v in s.vehicles]),
+        [Quadrotor(of(v, "mass_kg"), of(v, "inertia_kg_m2")) for v in s.vehicles],
+        [Cable(c.link_masses_kg, c.link_lengths_m) for c in cables],
+        s.gravity_m_s2,
+    )
+    airframe = Airframe(
+        np.array([of(v, "attitude_bandwidth_rad_s") for v in s.vehicles], dtype=float),
+        np.array([of(v, "attitude_damping") for v in s.vehicles], dtype=float),
+        np.array([of(v, "max_thrust_N") for v in s.vehicles], dtype=float),
+    )
+    initial = State.hanging(system, (0.0, 0.0, 0.0))._replace(
+        x0=np.array(s.initial.position_m),
+        v0=np.array(s.initial.velocity_m_s),
+        R0=rotation_deg(s.initial.attitude_deg),
+        R=np.stack([rotation_deg(v.initial_attitude_deg) for v in s.vehicles]),
+    )
+    for i, v in enumerate(s.vehicles):
+        if v.initial_link_directions is not None:
+            q = np.array(v.initial_link_directions)
+            initial.q[i, : len(q)] = q / np.linalg.norm(q, axis=1, keepdims=True)
+    control_us = round(1e6 / s.control.rate_hz)
+    notes = []
+    tick_us = TICK_US if control_us % TICK_US == 0 else control_us
+    asked_us = round(1e6 / s.physics.rate_hz)
+    physics_us = stable_substep(system, asked_us, tick_us)
+    if physics_us != asked_us:
+        notes.append(
+            f"physics step {physics_us} us instead of {asked_us} us: the stiffest link mode needs it"
+        )
+    return Flight(s, source, system, airframe, initial, control_us, physics_us, tick_us, notes)
+
+
+def _explain(error: ValidationError) -> str:
+    first = error.errors()[0]
+    key = ".".join(str(part) for part in first["loc"])
+    more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
+    kind, given = first["type"], first.get("input")
+    if kind == "extra_forbidden":
+        allowed = _keys_at(first["loc"][:-1])
+        near = difflib.get_close_matches(str(first["loc"][-1]), allowed, 1)
+        hint = f"did you mean {near[0]}?" if near else f"allowed: {', '.join(allowed)}"
+        return f"{key}: unknown key; {hint}{more}"
+    if kind == "missing":
+        return f"{key}: missing; it must be given{more}"
+    message = first["msg"].removeprefix("Value error, ")
+    if kind == "value_error" and isinstance(given, dict):
+        return f"{key + ': ' if key else ''}{message}{more}"
+    shown = f"{given!r:.60} given; " if not isinstance(given, dict) else ""
+    return f"{key}: {shown}{message[0].lower() + message[1:]}{more}"
+
+
+def _keys_at(path: tuple[int | str, ...]) -> list[str]:
+    """The keys that a table of a scenario may have."""
+    model: Any = Scenario
+    for part in path:
+        if isinstance(part, int):
+            continue
+        annotation = model.model_fields[part].annotation
+        arguments = [a for a in [annotation, *getattr(annotation, "__args__", ())] if isinstance(a, type)]
+        model = next((a for a in arguments if issubclass(a, BaseModel)), model)
+    return list(model.model_fields)

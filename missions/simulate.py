@@ -1,0 +1,124 @@
+"""The simulator as a process of its own: vehicles on their ports, truth into a one-way channel."""
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+
+from bridge.link import LinkError
+from missions.channel import Failure, Message, Ready, put, take
+from missions.scenario import Flight
+from sitl.plant import PhysicsError, Truth
+from sitl.server import Event, Report, Server, Settings
+
+START_S = 180.0  # the first start on a machine compiles the model
+
+
+def settings(flight: Flight, *, lockstep: bool, await_controller: bool, speed: float, port_offset: int, host: str) -> Settings:
+    """The server's settings for a flight."""
+    return Settings(
+        system=flight.system,
+        airframe=flight.airframe,
+        initial=flight.initial,
+        physics_us=flight.physics_us,
+        tick_us=flight.tick_us,
+        control_us=flight.control_us,
+        delay_us=flight.scenario.control.delay_ticks * flight.control_us,
+        lockstep=lockstep,
+        await_controller=await_controller,
+        speed=speed,
+        answer_timeout_s=flight.scenario.link.answer_timeout_s,
+        port_offset=port_offset,
+        host=host,
+    )
+
+
+def _child(values: Settings, channel: Connection) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides when a flight ends
+    stopped = threading.Event()
+    signal.signal(signal.SIGTERM, lambda *_: stopped.set())
+    parent = os.getppid()
+
+    def sink(message: Truth | Event) -> None:
+        put(channel, message)
+
+    try:
+        server = Server(values, sink)
+    except LinkError as error:
+        put(channel, Failure(str(error)))
+        return
+    try:
+        put(channel, Ready())
+        report = server.run(lambda: stopped.is_set() or os.getppid() != parent)
+        put(channel, report)
+    except PhysicsError as error:
+        put(channel, Failure(f"physics: {error} (t = {server.now_us * 1e-6:.2f} s of the vehicles' clock)"))
+    except BrokenPipeError:
+        return
+    finally:
+        server.close()
+        channel.close()
+
+
+class Simulator:
+    """The child process and the thread that empties its channel."""
+
+    def __init__(self, values: Settings, on_truth: Callable[[Truth], None], on_event: Callable[[Event], None]) -> None:
+        context = multiprocessing.get_context("spawn")
+        receive, send = context.Pipe(duplex=False)
+        self.failure: str | None = None
+        self.report: Report | None = None
+        self._ready = threading.Event()
+        self._shape = values.system.length.shape
+        self._on_truth, self._on_event = on_truth, on_event
+        self._process = context.Process(target=_child, args=(values, send), name="cablequad-sitl", daemon=True)
+        self._process.start()
+        send.close()
+        self._receive = receive
+        self._thread = threading.Thread(target=self._drain, name="truth", daemon=True)
+        self._thread.start()
+
+    def wait_ready(self, waiting: Callable[[], bool]) -> bool:
+        """Whether the vehicles are up; asks `waiting` ten times a second whether to go on waiting."""
+        for _ in range(int(START_S * 10)):
+            if self._ready.wait(0.1):
+                return self.failure is None
+            if not waiting():
+                return False
+        self.failure = self.failure or f"the simulator did not start within {START_S:.0f} s"
+        return False
+
+    def stop(self) -> None:
+        """End the vehicles and take what they still had to say."""
+        if self._process.is_alive():
+            self._process.terminate()
+        self._thread.join(5.0)
+        self._process.join(5.0)
+        if self._process.is_alive():
+            self._process.kill()
+
+    def _drain(self) -> None:
+        n, L = self._shape
+        while True:
+            try:
+                message: Message = take(self._receive.recv_bytes(), n, L)
+            except (EOFError, OSError):
+                break
+            match message:
+                case Truth():
+                    self._on_truth(message)
+                case Event():
+                    self._on_event(message)
+                case Report():
+                    self.report = message
+                case Failure():
+                    self.failure = message.text
+                    self._ready.set()
+                case Ready():
+                    self._ready.set()
+        if self.report is None and self.failure is None:
+            self._process.join(2.0)
+            self.failure = f"the simulator ended by itself (exit code {self._process.exitcode})"
+        self._ready.set()

@@ -1,0 +1,153 @@
+"""What a flight amounted to, and whether its own criteria hold."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bridge.fly import Outcome, Timing
+from cablequad.pilot import Sample
+from missions.scenario import AcceptanceTable
+
+SETTLED_M = 0.05
+
+
+class Track:
+    """Figures that accumulate while flying; only what happens between release and end counts."""
+
+    def __init__(self) -> None:
+        self.last: Sample | None = None
+        self.max_psi = 0.0
+        self.max_thrust_N = 0.0
+        self.min_tension_N = np.inf
+        self.unsettled_at = -1.0
+        self.settled_from: float | None = None
+
+    def decided(self, sample: Sample) -> None:
+        """Take one decision of the flight."""
+        self.last = sample
+        self.max_psi = max(self.max_psi, float(sample.Psi.max()))
+        self.max_thrust_N = max(self.max_thrust_N, float(sample.f.max()))
+        if float(np.linalg.norm(sample.error.x[:3])) > SETTLED_M:
+            self.settled_from = None
+        elif self.settled_from is None:
+            self.settled_from = sample.t
+
+    def tension(self, smallest_N: float) -> None:
+        """Take the smallest tension of one instant."""
+        self.min_tension_N = min(self.min_tension_N, smallest_N)
+
+
+class Criterion(NamedTuple):
+    """One line of [acceptance]."""
+
+    name: str
+    limit: float
+    measured: float | None
+    holds: bool
+
+
+class Summary(NamedTuple):
+    """What `cablequad fly` reports."""
+
+    scenario: str
+    passed: bool
+    reason: str
+    final_position_error_m: float | None
+    final_speed_m_s: float | None
+    settling_time_s: float | None
+    max_psi: float | None
+    max_thrust_N: float | None
+    min_tension_N: float | None
+    messages_sent: int
+    messages_lost: int
+    messages_late: int
+    real_time_factor: float | None
+    log: str | None
+    replay: str | None
+    final_e_q: float | None = None
+    final_psi: float | None = None
+    flown_s: float = 0.0
+    missed_deadlines: int = 0
+    jitter_us: dict[str, float] | None = None
+    criteria: list[dict[str, Any]] | None = None
+
+
+def criteria(limits: AcceptanceTable, s: Summary) -> list[Criterion]:
+    """Every criterion that the scenario asks for, with what was measured."""
+    upper = {
+        "position_error_m": s.final_position_error_m,
+        "speed_m_s": s.final_speed_m_s,
+        "e_q": s.final_e_q,
+        "psi": s.final_psi,
+        "max_psi": s.max_psi,
+        "max_thrust_N": s.max_thrust_N,
+        "settling_time_s": s.settling_time_s,
+    }
+    out = []
+    for name, measured in upper.items():
+        limit = getattr(limits, name)
+        if limit is not None:
+            out.append(Criterion(name, limit, measured, measured is not None and measured <= limit))
+    if limits.min_tension_N is not None:
+        low = s.min_tension_N
+        out.append(Criterion("min_tension_N", limits.min_tension_N, low, low is not None and low >= limits.min_tension_N))
+    return out
+
+
+def summarize(
+    scenario: str,
+    limits: AcceptanceTable,
+    track: Track,
+    outcome: Outcome,
+    timing: Timing,
+    sent: int,
+    lost: int,
+    missed_deadlines: int,
+    n: int,
+) -> Summary:
+    """The summary of a flight that ended with `outcome`; a criterion that does not hold is named in the reason."""
+    last = track.last
+    enough = len(timing.intervals_s) > 2
+    s = Summary(
+        scenario=scenario,
+        passed=False,
+        reason=outcome.reason,
+        final_position_error_m=None if last is None else float(np.linalg.norm(last.error.x[:3])),
+        final_speed_m_s=None if last is None else float(np.linalg.norm(last.state.v0)),
+        settling_time_s=track.settled_from,
+        max_psi=None if last is None else track.max_psi,
+        max_thrust_N=None if last is None else track.max_thrust_N,
+        min_tension_N=float(track.min_tension_N) if np.isfinite(track.min_tension_N) else None,
+        messages_sent=sent,
+        messages_lost=lost,
+        messages_late=timing.missed_ticks * n,
+        real_time_factor=last.t / timing.flight_s if last is not None and timing.flight_s > 0 else None,
+        log=None,
+        replay=None,
+        final_e_q=None if last is None else last.e_q,
+        final_psi=None if last is None else float(last.Psi.max()),
+        flown_s=0.0 if last is None else last.t,
+        missed_deadlines=missed_deadlines,
+        jitter_us=_jitter(timing.intervals_s) if enough else None,
+    )
+    found = criteria(limits, s)
+    failed = [c for c in found if not c.holds]
+    reason = outcome.reason
+    if outcome.completed and failed:
+        reason = "; ".join(
+            f"{c.name} is {'not reached' if c.measured is None else f'{c.measured:.4g}'}, asked {c.limit:g}" for c in failed
+        )
+    return s._replace(
+        passed=outcome.completed and not failed, reason=reason, criteria=[c._asdict() for c in found]
+    )
+
+
+def _jitter(intervals_s: list[float]) -> dict[str, float]:
+    """How far the times between answered states lie from their median, in us."""
+    values = np.array(intervals_s)
+    off = np.abs(values - np.median(values)) * 1e6
+    return {
+        "p50": round(float(np.percentile(off, 50)), 1),
+        "p99": round(float(np.percentile(off, 99)), 1),
+        "max": round(float(off.max()), 1),
+    }

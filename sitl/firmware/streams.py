@@ -1,0 +1,39 @@
+"""Which messages a link gets and how often: SET_MESSAGE_INTERVAL over a persona's defaults."""
+
+from collections.abc import Mapping
+
+DENIED_INTERVAL = -2
+
+
+class Streams:
+    """The streams of one link, on the vehicle's clock."""
+
+    def __init__(self, defaults_hz: Mapping[int, float], tick_us: int) -> None:
+        self._defaults = {msgid: round(1e6 / hz) for msgid, hz in defaults_hz.items()}
+        self._tick_us = tick_us
+        self._interval = dict(self._defaults)
+        self._next = dict.fromkeys(self._interval, 0)
+
+    def set_interval(self, msgid: int, interval_us: float) -> None:
+        """MAV_CMD_SET_MESSAGE_INTERVAL: us between messages; 0 the default, -1 stops. No faster than the tick."""
+        wanted = self._defaults.get(msgid, -1) if interval_us == 0 else round(interval_us)
+        if wanted < 0:
+            self._interval.pop(msgid, None)
+            self._next.pop(msgid, None)
+        else:
+            self._interval[msgid] = max(wanted, self._tick_us)
+            self._next[msgid] = 0
+
+    def interval_us(self, msgid: int) -> int:
+        """us between messages, -1 if stopped."""
+        return self._interval.get(msgid, -1)
+
+    def due(self, now_us: int) -> list[int]:
+        """Message ids to send at this tick, in the order of their ids."""
+        out = [msgid for msgid, at in self._next.items() if at <= now_us]
+        for msgid in out:
+            interval = self._interval[msgid]
+            ahead = self._next[msgid] + interval
+            self._next[msgid] = ahead if ahead > now_us else now_us + interval
+        out.sort()
+        return out

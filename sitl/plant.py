@@ -1,0 +1,96 @@
+"""The world: rotors, attitude loops and cablequad's step, held still until the release."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from cablequad.attitude import Airframe, Setpoint, fly
+from cablequad.dynamics import accelerations
+from cablequad.integrate import scratch
+from cablequad.state import State, positions, velocities
+from cablequad.system import System
+from cablequad.types import Array
+from sitl.firmware.px4 import Actuation
+
+
+class Truth(NamedTuple):
+    """The whole state at one instant, for the recorder alone."""
+
+    boot_us: int
+    held: bool
+    state: State
+    x: Array  # (n, 3) m, W: quadrotors
+    v: Array  # (n, 3) m/s, W
+    tension: Array  # (n, L) N
+    thrust: Array  # (n,) N
+
+
+class PhysicsError(ArithmeticError):
+    """The motion left the numbers."""
+
+
+class Plant:
+    """n vehicles under one load."""
+
+    def __init__(self, system: System, airframe: Airframe, initial: State, h: float) -> None:
+        self.system = system
+        self.airframe = airframe
+        self.initial = initial
+        self.h = h
+        self.reset()
+        self._work = scratch(system, self.state)
+        self._warm_up()
+
+    def _warm_up(self) -> None:
+        """Compile the step before a clock runs."""
+        n = len(self.system.m)
+        self.command([Actuation(self.state.R[i], np.zeros(3), 0.0, False) for i in range(n)])
+        fly(self.system, self.airframe, self._setpoint, self.state.copy(), self.h, 1, self._work)
+        self.specific_force(self.truth(0, *self.kinematics()))
+
+    def reset(self) -> None:
+        """Back to the initial state, held."""
+        self.state = self.initial.copy()
+        self.held = True
+        self.thrust = np.zeros(len(self.system.m))
+
+    def command(self, actuation: Sequence[Actuation]) -> None:
+        """What acts from now on."""
+        throttle = np.array([a.throttle for a in actuation])
+        self.thrust = self.airframe.max_thrust * np.clip(throttle, 0.0, 1.0) ** 2
+        self._setpoint = Setpoint(
+            np.array([a.R_c for a in actuation]),
+            np.array([a.Omega_c for a in actuation]),
+            self.thrust,
+            np.array([a.rate_only for a in actuation]),
+        )
+
+    def advance(self, steps: int) -> None:
+        """`steps` physics steps under what was commanded. Raises PhysicsError when the state is no longer finite."""
+        if self.held:
+            return
+        fly(self.system, self.airframe, self._setpoint, self.state, self.h, steps, self._work)
+        if not (np.isfinite(self.state.x0).all() and np.isfinite(self.state.omega).all()):
+            raise PhysicsError("the motion is no longer finite; the vehicles and the load have flown apart")
+
+    def kinematics(self) -> tuple[Array, Array]:
+        """(n, 3) m and (n, 3) m/s, W: where the quadrotors are and how they move."""
+        return positions(self.system, self.state)[:, 0], velocities(self.system, self.state)[:, 0]
+
+    def truth(self, boot_us: int, x: Array, v: Array) -> Truth:
+        """Everything, in arrays of its own; tensions are those of this instant under what is commanded from it on."""
+        s = self.state.copy()
+        force = -self.thrust[:, None] * s.R[:, :, 2]
+        tension = accelerations(self.system, s, force).tension
+        return Truth(boot_us, self.held, s, x, v, tension, self.thrust)
+
+    def specific_force(self, truth: Truth) -> Array:
+        """(n, 3) m/s^2, body frames: what each vehicle's accelerometer reads; the support carries it while held."""
+        s = truth.state
+        if truth.held:
+            support = np.array([0.0, 0.0, -self.system.g])
+            return np.einsum("iba,b->ia", s.R, support)
+        pull = truth.tension[:, 0, None] * s.q[:, 0]
+        world = (pull - truth.thrust[:, None] * s.R[:, :, 2]) / self.system.m[:, None]
+        return np.einsum("iba,ib->ia", s.R, world)

@@ -1,0 +1,45 @@
+"""The payload tracker: a system of its own that reports the load's pose and twist and every cable's shape."""
+
+import numpy as np
+
+from bridge.wire.dialect import Message, mavlink
+from bridge.wire.messages import cable_frames, encode
+from bridge.wire.values import CableShape, Heartbeat, PayloadState, VehicleAttitude, VehiclePosition
+from sitl.plant import Truth
+
+SYSTEM, COMPONENT = 200, 191
+MAP_US = 100_000
+HEARTBEAT_US = 1_000_000
+ARRAY_US = 500_000
+ARRAY_FLOATS = 58
+
+
+def high_rate(truth: Truth, n_links: np.ndarray) -> list[Message]:
+    """CABLE_STATE of every cable, then ODOMETRY of the payload, which closes the tick."""
+    s, us = truth.state, truth.boot_us
+    out = []
+    for i, k in enumerate(n_links.tolist()):
+        shape = CableShape(us, i + 1, k, 0, float(truth.tension[i, k - 1]), s.q[i, :k], s.omega[i, :k])
+        out += [encode(part) for part in cable_frames(shape)]
+    out.append(encode(PayloadState(us, s.x0, s.v0, s.R0, s.Omega0)))
+    return out
+
+
+def low_rate(truth: Truth, n_links: np.ndarray) -> list[Message]:
+    """What is due at this tick for maps and stock tools: heartbeat 1 Hz, pose 10 Hz, cables as plain arrays 2 Hz."""
+    s, us = truth.state, truth.boot_us
+    out: list[Message] = []
+    if us % HEARTBEAT_US == 0:
+        beat = Heartbeat(
+            mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE
+        )
+        out.append(encode(beat))
+    if us % MAP_US == 0:
+        out.append(encode(VehiclePosition(us // 1000, s.x0, s.v0)))
+        out.append(encode(VehicleAttitude(us // 1000, s.R0, s.Omega0)))
+    if us % ARRAY_US == 0:
+        for i, k in enumerate(n_links.tolist()):
+            links = np.concatenate([s.q[i, :k], s.omega[i, :k]], axis=1).ravel()[:ARRAY_FLOATS]
+            data = links.tolist() + [0.0] * (ARRAY_FLOATS - len(links))
+            out.append(mavlink.MAVLink_debug_float_array_message(us, b"cable", i + 1, data))
+    return out
