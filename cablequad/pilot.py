@@ -30,7 +30,7 @@ class Memory(NamedTuple):
     """What one decision leaves to the next; a value, never changed in place."""
 
     R_c: Array  # (n, 3, 3) the last commanded attitudes, kept where a force vanishes
-    thrust: Array  # (n,) N, the command under way
+    under_way: Array  # (d, n, 3) N, W: A_i - u_i* of the commands that do not act yet, newest first
 
 
 class Sample(NamedTuple):
@@ -41,7 +41,7 @@ class Sample(NamedTuple):
     reference: Reference
     memory: Memory  # what the decision started from
     error: Error  # x, x_dot in the chart around the target
-    A: Array  # (n, 3) N, W: ideal forces, A_i = u_i* - K_x x - K_xdot x_dot
+    A: Array  # (n, 3) N, W: ideal forces, A_i = u_i* - K_x x - K_xdot x_dot - what acts and what is under way
     R_c: Array  # (n, 3, 3) B -> W: commanded attitudes
     f: Array  # (n,) N: commanded thrusts, f_i = -A_i . R_i e3 within the rotors' limits
     Psi_0: float  # 1/2 tr(I - R_0d'R_0)
@@ -52,7 +52,8 @@ class Sample(NamedTuple):
 
 def first_memory(design: Design) -> Memory:
     """What the pilot knows before its first decision."""
-    return Memory(design.hanging.R.copy(), -design.u_star[:, 2])
+    n = len(design.system.m)
+    return Memory(design.hanging.R.copy(), np.zeros((design.K_way.shape[1] // (3 * n), n, 3)))
 
 
 def tick(memory: Memory, measurement: Measurement, reference: Reference, design: Design) -> tuple[Memory, Sample]:
@@ -60,11 +61,28 @@ def tick(memory: Memory, measurement: Measurement, reference: Reference, design:
     s = measurement.state
     target = design.hanging._replace(x0=reference.x0, v0=reference.v0)
     error = local(design.system, target, s)
-    A = design.u_star - (design.K_x @ error.x + design.K_xdot @ error.x_dot).reshape(-1, 3)
+    phi, phi_dot = _horizontal_forces(s.R, s.Omega, design.u_star)
+    a = design.K_x @ error.x + design.K_xdot @ error.x_dot + design.K_phi @ phi + design.K_phidot @ phi_dot
+    a += design.K_way @ memory.under_way.ravel()
+    A = design.u_star - a.reshape(-1, 3)
     R_c, f, Psi = _commands(A, s.R, design.b1, memory.R_c, design.max_thrust)
     e_q, e_omega, Psi_0 = _link_errors(design.system.n_links, s.q, s.omega, s.R0)
     sample = Sample(measurement.t, s, reference, memory, error, A, R_c, f, Psi_0, Psi, e_q, e_omega)
-    return Memory(R_c, f), sample
+    under_way = np.concatenate([(A - design.u_star)[None], memory.under_way])[: len(memory.under_way)]
+    return Memory(R_c, under_way), sample
+
+
+@jit
+def _horizontal_forces(R: Array, Omega: Array, u_star: Array) -> tuple[Array, Array]:
+    """(2 n,) N and (2 n,) N/s: the horizontal part of -f_i* R_i e3 and its rate."""
+    n = R.shape[0]
+    phi, phi_dot = np.empty(2 * n), np.empty(2 * n)
+    for i in range(n):
+        f = -u_star[i, 2]
+        for a in range(2):
+            phi[2 * i + a] = -f * R[i, a, 2]
+            phi_dot[2 * i + a] = -f * (R[i, a, 0] * Omega[i, 1] - R[i, a, 1] * Omega[i, 0])
+    return phi, phi_dot
 
 
 @jit

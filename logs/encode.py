@@ -71,7 +71,7 @@ def control(boot_us: int, sample: Sample, tension: Sequence[float], flying: bool
         sim_time_ns=boot_us * 1000, t=sample.t, phase="fly" if flying else "prepare",
         e_x0=e.x[0:3], e_v0=e.x_dot[0:3], Psi_0=sample.Psi_0, e_Omega0=e.x_dot[3:6], Psi=sample.Psi,
         e_Omega=s.Omega.ravel(), e_q=sample.e_q, e_w=sample.e_omega, ideal_force=sample.A.ravel(), thrust=sample.f,
-        attitude=_quats(sample.R_c), memory_thrust=sample.memory.thrust, state_age=0.0,
+        attitude=_quats(sample.R_c), under_way=sample.memory.under_way.ravel(), state_age=0.0,
         position=s.x0, velocity=s.v0, tension=tension, payload_attitude=lie.quat_from_rotation(s.R0),
         quad_attitude=_quats(s.R), link_direction=s.q.ravel(),
     )  # fmt: skip

@@ -1,0 +1,221 @@
+"""The `cablequad` command. Heavy imports stand inside the commands, so that help is quick."""
+
+import json
+import math
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, NoReturn
+
+import typer
+
+if TYPE_CHECKING:
+    from missions.scenario import Flight
+    from missions.summary import Summary
+
+app = typer.Typer(
+    name="cablequad",
+    help="Simulate and fly several quadrotors under one load on flexible cables, over MAVLink.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+scenarios_app = typer.Typer(help="List the shipped scenarios, or show one as a starting point.", no_args_is_help=False)
+app.add_typer(scenarios_app, name="scenarios")
+
+FAILED, USAGE, INTERRUPTED = 1, 2, 130
+
+ScenarioArgument = Annotated[str, typer.Argument(help="A shipped scenario's name or the path of a TOML file.")]
+PortOffset = Annotated[int, typer.Option(help="Added to every UDP port, so that several can run at once.", min=0, max=40000)]
+SpeedOption = Annotated[
+    str, typer.Option(help="max: lockstep, as fast as the machine allows; X: X times real time, without waiting.")
+]
+
+
+@app.command()
+def fly(
+    scenario: ScenarioArgument = "paper-case-1",
+    connect: Annotated[
+        list[str] | None,
+        typer.Option(help="udpin:HOST:PORT or udpout:HOST:PORT, one per vehicle and one for the payload tracker: fly what is there, start no simulator."),
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder for the log and the replay.")] = Path("runs"),
+    speed: SpeedOption = "max",
+    duration: Annotated[float | None, typer.Option(help="Seconds to fly, instead of the scenario's.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed, instead of the scenario's.", min=0)] = None,
+    replay: Annotated[bool, typer.Option(help="Write the replay (.rrd) beside the log.")] = True,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")] = False,
+    port_offset: PortOffset = 0,
+) -> None:
+    """Fly a scenario over MAVLink: start the vehicles (or connect to what is there), fly the plan, record, report.
+
+    Exit code 0 if the scenario's acceptance criteria hold, 1 if not, 2 for usage, 130 after Ctrl-C.
+    """
+    from missions.run import Options, run
+    from missions.scenario import ScenarioError
+
+    pace = _speed(speed)
+    if connect and speed != "max":
+        _usage("--speed sets the pace of our own simulator; with --connect the vehicles set it")
+    if duration is not None and not (math.isfinite(duration) and duration > 0):
+        _usage(f"--duration: {duration} given; seconds above 0 are needed")
+    try:
+        flight = _load(scenario, duration, seed)
+        options = Options(tuple(connect or ()), out, pace, port_offset)
+        with _progress(quiet=as_json) as progress:
+            summary, interrupted = run(flight, options, progress)
+    except ScenarioError as error:
+        _usage(str(error))
+    if replay and summary.log is not None:
+        summary = _write_replay(summary)
+    if as_json:
+        print(json.dumps(summary._asdict()))
+    else:
+        _report(summary)
+    if interrupted:
+        raise typer.Exit(INTERRUPTED)
+    if not summary.passed:
+        print(f"cablequad: {summary.scenario}: {summary.reason}", file=sys.stderr)
+        raise typer.Exit(FAILED)
+
+
+@app.command()
+def sitl(
+    scenario: ScenarioArgument = "paper-case-1",
+    speed: SpeedOption = "1",
+    host: Annotated[str, typer.Option(help="Address to bind and to send to.")] = "127.0.0.1",
+    port_offset: PortOffset = 0,
+) -> None:
+    """Serve the scenario's vehicles and payload tracker on UDP until Ctrl-C."""
+    from bridge.link import LinkError
+    from missions.scenario import ScenarioError
+    from missions.serve import serve
+    from sitl.plant import PhysicsError
+
+    pace = _speed(speed)
+    try:
+        serve(_load(scenario, None, None), pace, host, port_offset)
+    except ScenarioError as error:
+        _usage(str(error))
+    except (LinkError, PhysicsError) as error:
+        _fail(str(error))
+
+
+@app.command()
+def replay(
+    run: Annotated[Path, typer.Argument(help="The .mcap log of a run, whole or truncated.")],
+    save: Annotated[Path | None, typer.Option(help="Write the replay here instead of opening the viewer.")] = None,
+) -> None:
+    """Open a run in Rerun, or save it as an .rrd."""
+    import subprocess
+    import tempfile
+
+    from logs import replay as replays
+    from logs.reader import LogError, read
+
+    try:
+        loaded = read(run)
+        folder = tempfile.mkdtemp(prefix="cablequad-") if save is None else None
+        target = save if save is not None else Path(folder or "") / (run.stem + ".rrd")
+        if target.parent and not target.parent.is_dir():
+            _usage(f"--save {target}: the folder {target.parent} does not exist")
+        replays.save(loaded, target)
+    except LogError as error:
+        _fail(str(error))
+    if not loaded.complete:
+        print(f"cablequad: {run}: the log is cut short; replaying what it holds", file=sys.stderr)
+    if save is not None:
+        print(target)
+        return
+    try:
+        code = subprocess.run([Path(sys.executable).parent / "rerun", target], check=False).returncode
+    except OSError as error:
+        _fail(f"the Rerun viewer did not start ({error.strerror}); save the replay with --save and open it elsewhere")
+    raise typer.Exit(code)
+
+
+@scenarios_app.callback(invoke_without_command=True)
+def scenarios(context: typer.Context) -> None:
+    """List the shipped scenarios."""
+    if context.invoked_subcommand is None:
+        from missions.scenario import names, parse, text
+
+        for name in names():
+            typer.echo(f"{name:24} {parse(text(name), name).description}")
+
+
+@scenarios_app.command("show")
+def show(name: ScenarioArgument) -> None:
+    """Print a scenario's file."""
+    from missions.scenario import ScenarioError, text
+
+    try:
+        typer.echo(text(name), nl=False)
+    except ScenarioError as error:
+        _usage(str(error))
+
+
+def main() -> None:
+    """Entry point of the `cablequad` command."""
+    try:
+        app()
+    except KeyboardInterrupt:
+        print("cablequad: interrupted", file=sys.stderr)
+        sys.exit(INTERRUPTED)
+
+
+def _load(scenario: str, duration: float | None, seed: int | None) -> "Flight":
+    from missions.scenario import load
+
+    return load(scenario, duration, seed)
+
+
+def _speed(text: str) -> float:
+    if text == "max":
+        return math.inf
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and value > 0):
+        _usage(f"--speed: {text!r} given; write max or a factor above 0, such as 1")
+    return value
+
+
+def _usage(text: str) -> NoReturn:
+    print(f"cablequad: {text}", file=sys.stderr)
+    raise typer.Exit(USAGE)
+
+
+def _fail(text: str) -> NoReturn:
+    print(f"cablequad: {text}", file=sys.stderr)
+    raise typer.Exit(FAILED)
+
+
+def _progress(quiet: bool):  # type: ignore[no-untyped-def]
+    from missions.report import progress
+
+    return progress(quiet)
+
+
+def _report(summary: "Summary") -> None:
+    from missions.report import table
+
+    table(summary)
+
+
+def _write_replay(summary: "Summary") -> "Summary":
+    from logs import replay as replays
+    from logs.reader import LogError, read
+
+    log = Path(summary.log or "")
+    target = log.with_name(log.name.removesuffix(".part")).with_suffix(".rrd")
+    try:
+        replays.save(read(log), target)
+    except (LogError, OSError) as error:
+        print(f"cablequad: no replay: {error}", file=sys.stderr)
+        return summary
+    return summary._replace(replay=str(target))
+
+
+if __name__ == "__main__":
+    main()

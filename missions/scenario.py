@@ -12,7 +12,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from cablequad import lie
 from cablequad.attitude import Airframe
-from cablequad.design import Design, DesignError, Weights, paper_law
+from cablequad.design import Design, DesignError, Weights, paper_law, sampled_law
 from cablequad.stiffness import stable_substep
 from cablequad.linear import EquilibriumError
 from cablequad.state import State
@@ -108,19 +108,19 @@ class TargetTable(_Table):
 class WeightsTable(_Table):
     """control.weights"""
 
-    position: Positive = 1.0
-    velocity: Positive = 2.0
-    attitude: Positive = 2.0
-    body_rate: Positive = 1.0
-    link_direction: Positive = 0.1
-    link_rate: Positive = 0.05
+    position: Positive = 4.0
+    velocity: Positive = 6.0
+    attitude: Positive = 6.0
+    body_rate: Positive = 3.0
+    link_direction: Positive = 0.3
+    link_rate: Positive = 0.1
     force: Positive = 1.0
 
 
 class ControlTable(_Table):
     """[control]"""
 
-    law: Literal["paper"] = "paper"
+    law: Literal["sampled", "paper"] = "sampled"
     rate_hz: Positive = 250.0
     delay_ticks: Annotated[int, Field(ge=1, le=50)] = 1
     weights: WeightsTable = WeightsTable()
@@ -278,8 +278,11 @@ def design(flight: Flight) -> Design:
     """The controller of a flight. Raises ScenarioError where the system has no equilibrium or no stabilising gains."""
     w = flight.scenario.control.weights
     weights = Weights(w.position, w.velocity, w.attitude, w.body_rate, w.link_direction, w.link_rate, w.force)
+    c = flight.scenario.control
     try:
-        return paper_law(flight.system, weights, flight.airframe.max_thrust)
+        if c.law == "paper":
+            return paper_law(flight.system, weights, flight.airframe.max_thrust)
+        return sampled_law(flight.system, flight.airframe, weights, flight.control_us * 1e-6, c.delay_ticks)
     except (EquilibriumError, DesignError) as error:
         raise ScenarioError(f"scenario {flight.scenario.name}: {error}") from None
 

@@ -1,0 +1,82 @@
+"""What a flight shows on a terminal: progress while it goes, a table at its end."""
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress as Bar, TaskID, TextColumn
+from rich.table import Table
+
+from missions.run import Progress
+from missions.summary import Summary
+
+
+class _Bar(Progress):
+    """A progress bar on the terminal's error stream."""
+
+    def __init__(self, bar: Bar) -> None:
+        self._bar = bar
+        self._task: TaskID | None = None
+        self._shown = -1.0
+
+    def say(self, text: str) -> None:
+        self._bar.console.print(text, highlight=False)
+
+    def flown(self, t: float, duration: float, error_m: float, factor: float) -> None:
+        if t - self._shown < duration / 100 and t < duration:
+            return
+        self._shown = t
+        if self._task is None:
+            self._task = self._bar.add_task("flying", total=duration)
+        text = f"t = {t:5.2f} s   error {100 * error_m:7.2f} cm   {factor:4.1f} x real time"
+        self._bar.update(self._task, completed=t, description=text)
+
+
+@contextmanager
+def progress(quiet: bool) -> Iterator[Progress]:
+    """A live bar on a terminal; silence in a pipe or when `quiet`."""
+    if quiet or not sys.stderr.isatty():
+        yield Progress()
+        return
+    console = Console(stderr=True)
+    with Bar(TextColumn("{task.description}"), BarColumn(bar_width=30), console=console) as bar:
+        yield _Bar(bar)
+
+
+def table(s: Summary) -> None:
+    """The summary as a table, one line a figure, with what was asked beside it."""
+    asked = {c["name"]: c for c in s.criteria or []}
+
+    def limit(name: str) -> str:
+        if name not in asked:
+            return ""
+        sign = ">=" if name == "min_tension_N" else "<="
+        return f"{sign} {asked[name]['limit']:g} {'ok' if asked[name]['holds'] else 'MISSED'}"
+
+    out = Table(title=f"{s.scenario}: {'passed' if s.passed else 'FAILED'}", title_justify="left", show_header=False)
+    out.add_column(style="bold")
+    out.add_column(justify="right")
+    out.add_column()
+    out.add_row("reason", "", s.reason)
+    out.add_row("final position error", _of(s.final_position_error_m, "{:.4f} m"), limit("position_error_m"))
+    out.add_row("final speed", _of(s.final_speed_m_s, "{:.4f} m/s"), limit("speed_m_s"))
+    out.add_row("settled within 5 cm at", _of(s.settling_time_s, "{:.2f} s"), limit("settling_time_s"))
+    out.add_row("final link error e_q", _of(s.final_e_q, "{:.4f}"), limit("e_q"))
+    out.add_row("final Psi_i, largest", _of(s.final_psi, "{:.2e}"), limit("psi"))
+    out.add_row("largest Psi_i", _of(s.max_psi, "{:.4f}"), limit("max_psi"))
+    out.add_row("largest thrust", _of(s.max_thrust_N, "{:.2f} N"), limit("max_thrust_N"))
+    out.add_row("smallest tension", _of(s.min_tension_N, "{:.2f} N"), limit("min_tension_N"))
+    out.add_row("messages sent, lost, late", f"{s.messages_sent}, {s.messages_lost}, {s.messages_late}", "")
+    out.add_row("real-time factor", _of(s.real_time_factor, "{:.2f}"), "")
+    if s.jitter_us is not None:
+        jitter = f"{s.jitter_us['p50']:.0f}, {s.jitter_us['p99']:.0f}, {s.jitter_us['max']:.0f} us"
+        out.add_row("tick jitter p50, p99, max", jitter, "")
+    out.add_row("missed deadlines", str(s.missed_deadlines), "")
+    out.add_row("log", "", s.log or "-")
+    out.add_row("replay", "", s.replay or "-")
+    Console(width=None if sys.stdout.isatty() else 120, highlight=False).print(out)
+
+
+def _of(value: float | None, form: str) -> str:
+    return "-" if value is None else form.format(value)
