@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from bridge.thrust import ThrustLaw
 from bridge.wire.dialect import mavlink
-from bridge.wire.messages import attitude_target
+from bridge.wire.messages import TEXT_BYTES, attitude_target
 from bridge.wire.values import (
     IN_AIR,
     Command,
@@ -88,6 +88,7 @@ class _Vehicle:
         self.streams_left = set(WANTED_STREAMS)
         self.asked: list[int] = []
         self.refusal = ""
+        self.text = ""  # of a STATUSTEXT that comes in chunks
         self.model_factor: float | None = None
 
 
@@ -147,9 +148,11 @@ class Fleet:
                 if self.released_at is None and all(u.landed == IN_AIR for u in self._vehicles):
                     self.released_at = now
             case StatusText():
-                self._texts.append((source, value))
-                if value.severity <= 4:
-                    v.refusal = value.text
+                v.text = v.text + value.text if value.chunk > 0 else value.text
+                if value.id == 0 or len(value.text) < TEXT_BYTES:
+                    self._texts.append((source, value._replace(text=v.text)))
+                    if value.severity <= 4:
+                        v.refusal = v.text
             case _:
                 pass
 

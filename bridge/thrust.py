@@ -1,4 +1,4 @@
-"""Newtons <-> the thrust field of SET_ATTITUDE_TARGET.
+"""Newtons -> the thrust field of SET_ATTITUDE_TARGET.
 
 PX4 hands the field to its mixer through THR_MDL_FAC: fac x^2 + (1 - fac) x = field for a motor command x. The rotors
 give F = F_max x^2, so the field that asks for F is fac F/F_max + (1 - fac) sqrt(F/F_max).
@@ -18,9 +18,3 @@ class ThrustLaw(NamedTuple):
         """The field, 0..1, that makes `thrust_N`; NaN stays NaN."""
         share = min(max(thrust_N / self.max_thrust_N, 0.0), 1.0) if thrust_N == thrust_N else math.nan
         return self.model_factor * share + (1.0 - self.model_factor) * math.sqrt(share)
-
-    def newtons(self, field: float) -> float:
-        """The thrust that `field` makes."""
-        t, fac = min(max(field, 0.0), 1.0), self.model_factor
-        x = t if fac == 0.0 else (fac - 1 + math.sqrt((1 - fac) ** 2 + 4 * fac * t)) / (2 * fac)
-        return self.max_thrust_N * x * x

@@ -95,7 +95,7 @@ def flown_model(system: System, airframe: Airframe, period: float, delay: int) -
     return A_d, B_d
 
 
-def paper_law(system: System, weights: Weights, max_thrust: Array) -> Design:
+def continuous_law(system: System, weights: Weights, max_thrust: Array) -> Design:
     """The paper's law with gains of a continuous LQR on the linear model; b_1i = e1.
 
     Raises DesignError where the linear model cannot be stabilised, EquilibriumError where there is no equilibrium.

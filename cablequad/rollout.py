@@ -5,9 +5,12 @@ from typing import NamedTuple
 
 from cablequad.attitude import Airframe, Setpoint, fly
 from cablequad.design import Design
-from cablequad.integrate import scratch
+from cablequad.geometric import AttitudeCommand
+from cablequad.integrate import scratch, step
+from cablequad.paper_law import Gains, commands
 from cablequad.pilot import Measurement, Reference, Sample, first_memory, tick
 from cablequad.state import State
+from cablequad.types import Array
 
 
 class Timing(NamedTuple):
@@ -43,3 +46,14 @@ def rollout(
         yield sample
         under_way.append(Setpoint.attitude(sample.R_c, sample.f))
         fly(system, airframe, under_way.pop(0), state, h, timing.steps, work)
+
+
+def paper_flight(
+    design: Design, gains: Gains, x0_d: Array, initial: State, h: float, steps: int
+) -> Iterator[tuple[State, list[AttitudeCommand]]]:
+    """The paper's own loop: f_i and M_i of Section IV computed at every physics step of `h` s and held over it."""
+    state = initial.copy()
+    for _ in range(steps):
+        command, frames = commands(design, gains, x0_d, state)
+        yield state, frames
+        state = step(design.system, state, command, h)

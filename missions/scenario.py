@@ -12,7 +12,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from cablequad import lie
 from cablequad.attitude import Airframe
-from cablequad.design import Design, DesignError, Weights, paper_law, sampled_law
+from cablequad.design import Design, DesignError, Weights, continuous_law, sampled_law
 from cablequad.stiffness import stable_substep
 from cablequad.linear import EquilibriumError
 from cablequad.state import State
@@ -281,7 +281,7 @@ def design(flight: Flight) -> Design:
     c = flight.scenario.control
     try:
         if c.law == "paper":
-            return paper_law(flight.system, weights, flight.airframe.max_thrust)
+            return continuous_law(flight.system, weights, flight.airframe.max_thrust)
         return sampled_law(flight.system, flight.airframe, weights, flight.control_us * 1e-6, c.delay_ticks)
     except (EquilibriumError, DesignError) as error:
         raise ScenarioError(f"scenario {flight.scenario.name}: {error}") from None

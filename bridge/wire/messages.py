@@ -33,6 +33,7 @@ from bridge.wire.values import (
 from cablequad import lie
 
 LINKS_PER_FRAME = 10
+TEXT_BYTES = 50
 ATTITUDE_AND_THRUST = 7  # type mask: body rates ignored
 
 _NAN_COVARIANCE = [math.nan] + [0.0] * 20
@@ -61,6 +62,16 @@ def cable_frames(shape: CableShape) -> list[CableShape]:
         )
         for k in range(0, shape.n_links, LINKS_PER_FRAME)
     ]
+
+
+def text_frames(said: StatusText, id: int) -> list[StatusText]:
+    """The whole text in as many values as it takes; `id` (above 0) ties the chunks together."""
+    if len(said.text.encode()) <= TEXT_BYTES:
+        return [said]
+    parts = [said.text[k : k + TEXT_BYTES] for k in range(0, len(said.text), TEXT_BYTES)]
+    if len(parts[-1]) == TEXT_BYTES:
+        parts.append("")  # only a chunk that is not full ends a text
+    return [StatusText(said.severity, part, id, k) for k, part in enumerate(parts)]
 
 
 def param_bits(value: int) -> float:
@@ -237,11 +248,11 @@ def _read_ping(m: Message) -> Ping:
 
 
 def _statustext(v: StatusText) -> Message:
-    return mavlink.MAVLink_statustext_message(v.severity, v.text.encode()[:50])
+    return mavlink.MAVLink_statustext_message(v.severity, v.text.encode()[:TEXT_BYTES], v.id, v.chunk)
 
 
 def _read_statustext(m: Message) -> StatusText:
-    return StatusText(m.severity, _name(m.text))
+    return StatusText(m.severity, _name(m.text), m.id, m.chunk_seq)
 
 
 def _landed(v: LandedState) -> Message:

@@ -150,10 +150,12 @@ class Ping(NamedTuple):
 
 
 class StatusText(NamedTuple):
-    """STATUSTEXT (#253)."""
+    """STATUSTEXT (#253): one message holds 50 bytes; longer texts come in chunks that share an id above 0."""
 
     severity: int
     text: str
+    id: int = 0
+    chunk: int = 0
 
 
 class LandedState(NamedTuple):

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bridge.wire.dialect import Message, mavlink
-from bridge.wire.messages import encode
+from bridge.wire.messages import encode, text_frames
 from bridge.wire.telemetry import BUILD, Snapshot
 from bridge.wire.values import (
     IN_AIR,
@@ -97,6 +97,7 @@ class Px4:
         self._outbox: list[Outgoing] = []
         self._param_queue: list[tuple[int, int]] = []
         self._warned = ""
+        self._texts_said = 0
         self._throttle = 0.0
         self._commanded: tuple[Array, Array, float] = (np.eye(3), np.zeros(3), 0.0)
 
@@ -283,7 +284,9 @@ class Px4:
             self._text(row.severity, row.text)
 
     def _text(self, severity: int, text: str) -> None:
-        self._outbox.append(Outgoing(None, encode(StatusText(severity, text))))
+        self._texts_said = self._texts_said % 65535 + 1
+        for part in text_frames(StatusText(severity, text), self._texts_said):
+            self._outbox.append(Outgoing(None, encode(part)))
 
     # -- what it does --------------------------------------------------------------------------------------------------
 
@@ -333,7 +336,7 @@ class Px4:
             return 0.0
         t = min(max(thrust, 0.0), 1.0)
         fac = self.parameters["THR_MDL_FAC"]
-        return t if fac == 0.0 else (fac - 1 + math.sqrt((1 - fac) ** 2 + 4 * fac * t)) / (2 * fac)
+        return 0.0 if t == 0.0 else 2 * t / (1 - fac + math.sqrt((1 - fac) ** 2 + 4 * fac * t))
 
     def _warn(self, text: str) -> None:
         if text != self._warned:

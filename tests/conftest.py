@@ -1,0 +1,122 @@
+"""What the tests share: random systems and states, a place among the ports, the command line."""
+
+import itertools
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, settings
+
+from cablequad import lie
+from cablequad.state import State
+from cablequad.system import Cable, Payload, Quadrotor, System
+
+settings.register_profile("default", deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
+settings.load_profile("default")
+
+
+def random_system(rng: np.random.Generator, n: int | None = None, links: int = 8) -> System:
+    """n = 1..6 vehicles, 1..`links` links a cable, everything unequal."""
+    n = int(rng.integers(1, 7)) if n is None else n
+    inertia = np.diag(rng.uniform(0.02, 0.03, 3))
+    turn = lie.exp(rng.normal(size=3))
+    quadrotors = [Quadrotor(rng.uniform(0.4, 1.5), np.diag(rng.uniform(4e-3, 7e-3, 3))) for _ in range(n)]
+    cables = []
+    for _ in range(n):
+        k = int(rng.integers(1, links + 1))
+        cables.append(Cable(list(rng.uniform(5e-3, 0.05, k)), list(rng.uniform(0.05, 0.4, k))))
+    payload = Payload(rng.uniform(0.3, 2.0), turn @ inertia @ turn.T, rng.uniform(-0.5, 0.5, (n, 3)))
+    return System.of(payload, quadrotors, cables)
+
+
+def random_state(system: System, rng: np.random.Generator, rate: float = 2.0) -> State:
+    """Any attitude, any link direction, rates of size `rate` rad/s."""
+    n, L = system.length.shape
+    q = rng.normal(size=(n, L, 3))
+    q /= np.linalg.norm(q, axis=-1, keepdims=True)
+    omega = rate * rng.normal(size=(n, L, 3))
+    omega -= np.sum(omega * q, axis=-1, keepdims=True) * q
+    for i, k in enumerate(system.n_links):
+        q[i, k:], omega[i, k:] = (0.0, 0.0, 1.0), 0.0
+    return State(
+        rng.normal(size=3), rng.normal(size=3), lie.exp(2 * rng.normal(size=3)), rng.normal(size=3), q, omega,
+        np.stack([lie.exp(2 * rng.normal(size=3)) for _ in range(n)]), rng.normal(size=(n, 3)),
+    )  # fmt: skip
+
+
+def irregular() -> System:
+    """n = 3, cables of 2, 5 and 7 links, unequal masses and lengths."""
+    rng = np.random.default_rng(5)
+    cables = [Cable(list(rng.uniform(8e-3, 0.03, k)), list(rng.uniform(0.1, 0.3, k))) for k in (2, 5, 7)]
+    quadrotors = [Quadrotor(m, (5e-3, 6e-3, 9e-3)) for m in (0.6, 0.9, 1.3)]
+    payload = Payload(0.8, (0.03, 0.02, 0.04), [(0.4, 0.1, -0.1), (-0.3, 0.3, -0.05), (-0.1, -0.4, -0.1)])
+    return System.of(payload, quadrotors, cables)
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(20261122)
+
+
+_given = itertools.count()
+
+
+@pytest.fixture
+def offset() -> int:
+    """A port offset that no other test of this process has, apart from those of other processes."""
+    return 200 + (os.getpid() % 40) * 400 + next(_given) * 10 % 400
+
+
+class Command:
+    """The `cablequad` command in a process of its own."""
+
+    def __init__(self, *arguments: str, cwd: Path | None = None) -> None:
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "missions.cli", *arguments],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            cwd=cwd,
+        )
+
+    def wait(self, timeout: float = 180) -> tuple[int, str, str]:
+        """Exit code, stdout, stderr."""
+        out, err = self.process.communicate(timeout=timeout)
+        return self.process.returncode, out, err
+
+    def interrupt(self) -> None:
+        """Ctrl-C."""
+        self.process.send_signal(signal.SIGINT)
+
+
+def cablequad(*arguments: str) -> tuple[int, str, str]:
+    """Run the command to its end: exit code, stdout, stderr."""
+    return Command(*arguments).wait()
+
+
+def flown(*arguments: str) -> dict:
+    """`cablequad fly --json ...`: its one object."""
+    code, out, err = cablequad("fly", "--json", *arguments)
+    assert out, err
+    summary = json.loads(out)
+    summary["exit_code"] = code
+    return summary
+
+
+def wait_for_line(command: Command, text: str, timeout: float = 120) -> None:
+    """Read stdout until a line holds `text`."""
+    assert command.process.stdout is not None
+    until = time.monotonic() + timeout
+    while time.monotonic() < until:
+        line = command.process.stdout.readline()
+        if text in line:
+            return
+        if not line and command.process.poll() is not None:
+            break
+    raise AssertionError(f"no line with {text!r}; exit code {command.process.poll()}")

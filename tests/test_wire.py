@@ -1,0 +1,201 @@
+"""Values <-> messages, and the bytes of a link."""
+
+import math
+import socket
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bridge.link import Endpoint, Link, LinkError
+from bridge.wire import generate
+from bridge.wire.dialect import CABLE_STATE, mavlink
+from bridge.wire.messages import WireError, attitude_target, cable_frames, decode, encode, param_bits, param_int
+from bridge.wire.telemetry import BUILD, Home, Snapshot
+from bridge.wire.values import (
+    AttitudeTarget,
+    CableShape,
+    Command,
+    CommandAck,
+    Heartbeat,
+    LandedState,
+    MissionCount,
+    MissionRequestList,
+    ParamRequestList,
+    ParamRequestRead,
+    ParamSet,
+    ParamValue,
+    PayloadState,
+    Ping,
+    ServerVersion,
+    SetMode,
+    StatusText,
+    Timesync,
+    VehicleAttitude,
+    VehiclePosition,
+)
+from cablequad import lie
+
+
+def over_the_wire(value: object) -> object:
+    codec = mavlink.MAVLink(None, 7, 1)
+    return decode(codec.decode(bytearray(encode(value).pack(codec))))
+
+
+def equal(a: object, b: object) -> None:
+    assert type(a) is type(b)
+    for x, y in zip(a, b, strict=True):  # type: ignore[call-overload]
+        if isinstance(x, np.ndarray):
+            np.testing.assert_allclose(x, y, rtol=0, atol=1e-6)
+        elif isinstance(x, float | tuple):
+            assert y == pytest.approx(x, rel=1e-6, abs=1e-6)
+        else:
+            assert x == y
+
+
+R = lie.exp(np.array([0.3, -0.4, 2.1]))
+V = np.array([0.25, -1.5, 3.0])
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        Heartbeat(2, 12, 209, 6 << 16, 4),
+        VehicleAttitude(123456, R, V),
+        VehiclePosition(5, V, -V),
+        PayloadState(10**9, V, -V, R, 2 * V),
+        CableShape(4000, 3, 2, 0, 1.25, np.eye(3)[:2], np.eye(3)[1:]),
+        AttitudeTarget(99, 4, 1, 7, (0.5, 0.5, -0.5, 0.5), (0.1, 0.2, 0.3), 0.6),
+        Command(2, 1, 400, (1.0, 21196.0, 0.0, 0.0, 0.0, 0.0, 0.0)),
+        CommandAck(400, 1, 250, 191),
+        SetMode(3, 1, 6 << 16),
+        ParamRequestRead(1, 1, "THR_MDL_FAC", -1),
+        ParamRequestList(1, 1),
+        ParamSet(1, 1, "MPC_THR_HOVER", 0.5, 9),
+        ParamValue("A234567890123456", 1.5, 9, 20, 3),
+        Timesync(0, 123456789012345),
+        Ping(1, 2, 0, 0),
+        StatusText(4, "Arming denied"),
+        LandedState(2),
+        MissionRequestList(1, 1),
+        MissionCount(250, 191, 0),
+        ServerVersion(0xE8FF, (1, 16, 0), 3),
+    ],
+    ids=lambda v: type(v).__name__,
+)
+def test_every_value_survives_the_wire(value: object) -> None:
+    equal(value, over_the_wire(value))
+
+
+def test_the_committed_dialect_is_what_the_generator_writes() -> None:
+    assert Path(generate.MODULE).read_text() == generate.generate()
+
+
+def test_stock_parsers_skip_cable_state_and_ours_reads_it() -> None:
+    assert mavlink.mavlink_map[53100] is CABLE_STATE
+    assert CABLE_STATE.unpacker.size == 255
+
+
+@given(st.integers(1, 35))
+def test_cables_of_any_length_arrive_whole(n_links: int) -> None:
+    rng = np.random.default_rng(n_links)
+    q = rng.normal(size=(n_links, 3))
+    shape = CableShape(8000, 2, n_links, 0, -0.5, q / np.linalg.norm(q, axis=1, keepdims=True), q)
+    parts = [over_the_wire(part) for part in cable_frames(shape)]
+    assert len(parts) == math.ceil(n_links / 10)
+    np.testing.assert_allclose(np.concatenate([p.q for p in parts]), shape.q, rtol=0, atol=1e-6)  # type: ignore[attr-defined]
+    np.testing.assert_allclose(np.concatenate([p.omega for p in parts]), shape.omega, rtol=0, atol=1e-6)  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("thrust", [math.nan, math.inf, -math.inf])
+def test_a_setpoint_that_is_not_finite_never_becomes_a_message(thrust: float) -> None:
+    with pytest.raises(WireError, match="vehicle 2: non-finite setpoint"):
+        attitude_target(4, 2, np.eye(3), thrust)
+    with pytest.raises(WireError, match="vehicle 2"):
+        attitude_target(4, 2, np.full((3, 3), math.nan), 0.5)
+
+
+@given(st.integers(-(2**31), 2**31 - 1))
+def test_integer_parameters_travel_as_their_bits(value: int) -> None:
+    if struct.unpack("<I", struct.pack("<i", value))[0] & 0x7F800000 != 0x7F800000:  # bits of a NaN are not kept
+        assert param_int(param_bits(value)) == value
+
+
+def test_every_streamed_message_can_be_built_and_packed() -> None:
+    snapshot = Snapshot(10**6, R, V, V, V, V, 0.6, True, 2, (R, V, 0.5), Home())
+    codec = mavlink.MAVLink(None, 1, 1)
+    for msgid, build in BUILD.items():
+        frame = build(snapshot).pack(codec)
+        assert codec.decode(bytearray(frame)).get_msgId() == msgid
+
+
+class TestLink:
+    """UDP datagrams in, checked frames out."""
+
+    def pair(self, offset: int) -> tuple[Link, socket.socket, tuple[str, int]]:
+        address = ("127.0.0.1", 21000 + offset)
+        other = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        other.bind(("127.0.0.1", 0))
+        return Link([Endpoint(address, None)]), other, address
+
+    def frame(self, seq: int, value: object = Heartbeat(2, 12, 1, 0, 3)) -> bytes:
+        codec = mavlink.MAVLink(None, 9, 1)
+        codec.seq = seq
+        return bytes(encode(value).pack(codec))
+
+    def test_frames_come_out_with_their_header(self, offset: int) -> None:
+        link, other, address = self.pair(offset)
+        other.sendto(self.frame(3) + self.frame(4, Timesync(0, 5)), address)
+        first, second = link.poll(1.0)
+        assert (first.system, first.component, first.seq, first.name) == (9, 1, 3, "HEARTBEAT")
+        assert second.value == Timesync(0, 5)
+        link.close()
+
+    def test_damage_costs_only_the_damaged_frame(self, offset: int) -> None:
+        link, other, address = self.pair(offset)
+        good = self.frame(0)
+        broken = bytearray(good)
+        broken[12] ^= 0x40
+        for datagram in (b"", b"\xfd", b"\x00" * 300, bytes(broken), good[:-1], b"\xfd\xff" + good, bytes(broken) + good):
+            other.sendto(datagram, address)
+        other.sendto(good, address)
+        frames = []
+        for _ in range(5):
+            frames += link.poll(0.05)
+        assert [f.name for f in frames].count("HEARTBEAT") >= 2
+        assert link.counters.bad > 0
+        link.close()
+
+    def test_gaps_in_the_sequence_are_counted_as_lost(self, offset: int) -> None:
+        link, other, address = self.pair(offset)
+        for seq in (250, 251, 254, 255, 0, 3):
+            other.sendto(self.frame(seq), address)
+        got = []
+        for _ in range(3):
+            got += link.poll(0.05)
+        assert len(got) == 6
+        assert link.counters.lost == 4
+        link.close()
+
+    def test_a_port_in_use_is_named(self, offset: int) -> None:
+        link, _, address = self.pair(offset)
+        with pytest.raises(LinkError, match=f"udp 127.0.0.1:{address[1]}.*in use"):
+            Link([Endpoint(address, None)])
+        link.close()
+
+    @pytest.mark.parametrize("url", ["", "14540", "tcp:1.2.3.4", "udpin:localhost", "udpin:h:99999", "serial:/dev/x:9"])
+    def test_addresses_that_make_no_sense_say_how_to_write_them(self, url: str) -> None:
+        with pytest.raises(LinkError, match="udpin:HOST:PORT"):
+            Endpoint.parse(url)
+
+    def test_sequence_numbers_count_per_sender_and_port(self, offset: int) -> None:
+        link, other, address = self.pair(offset)
+        beat = encode(Heartbeat(2, 12, 1, 0, 3))
+        to = other.getsockname()
+        seqs = [link.send(0, system, 1, beat, to).seq for system in (1, 2, 1, 1, 2)]
+        assert seqs == [0, 0, 1, 2, 1]
+        link.close()
+        assert address
