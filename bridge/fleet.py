@@ -198,6 +198,7 @@ class Fleet:
         """Ask every vehicle in command to take over by itself."""
         for v in self._vehicles:
             if v.stage is Stage.FLY:
+                v.heartbeat = None  # only what is heard from now on says that it holds
                 self._enter(v, Stage.HOLD, now)
 
     # -- inside --------------------------------------------------------------------------------------------------------

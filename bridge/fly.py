@@ -10,7 +10,7 @@ from bridge.wire.messages import WireError, encode
 from cablequad.design import Design
 from cablequad.pilot import Measurement, Memory, Reference, Sample, first_memory, tick
 
-PROCESS_ANYWAY_S = 0.5  # wall clock: frames that complete no state are still acted on after this long
+PROCESS_ANYWAY_S = 0.5  # wall clock: frames that complete no state are acted on after this long all the same
 SILENT_S = 3.0  # wall clock without a single frame
 HOLD_S = 6.0  # wall clock for the vehicles to take over at the end
 
@@ -70,7 +70,7 @@ class _Flight:
         self.routes: dict[int, tuple[int, Address]] = {}
         self.pending: list[Received] = []
         self.now_us = 0
-        self.processed_at = self.heard_at = link.now()
+        self.heard_at = self.pending_since = link.now()
         self.last: tuple[int, float] | None = None
         self.started: float | None = None
         self.ticks = self.missed = 0
@@ -90,6 +90,8 @@ class _Flight:
         arrived = self.link.now()
         if frames:
             self.heard_at = arrived
+            if not self.pending:
+                self.pending_since = arrived
         for frame in frames:
             self._route(frame)
             self.pending.append(frame)
@@ -98,9 +100,8 @@ class _Flight:
         instant = self.observer.take()
         if instant is not None:
             self.now_us = instant.boot_ms * 1000
-        elif not self.pending or arrived - self.processed_at < PROCESS_ANYWAY_S:
+        elif not self.pending or arrived - self.pending_since < PROCESS_ANYWAY_S:
             return None
-        self.processed_at = arrived
         self._process()
         if instant is None:
             self._send(self.fleet.due(self.now_us * 1e-6))
@@ -134,9 +135,7 @@ class _Flight:
     def _answer(self, instant: Instant, arrived: float) -> Sample:
         now = instant.boot_ms * 1e-3
         t = max(0.0, self.flown)
-        self.memory, sample = tick(
-            self.memory, Measurement(t, instant.state), self.plan.reference(t), self.design
-        )
+        self.memory, sample = tick(self.memory, Measurement(t, instant.state), self.plan.reference(t), self.design)
         try:
             setpoints = self.fleet.setpoints(sample, instant.boot_ms)
         except WireError as error:  # nothing that is not finite goes out; the vehicles' own failsafes take over
@@ -201,7 +200,8 @@ def fly(
             phase = "fly" if fleet.flying else "prepare"
             waiting = fleet.unheard()
             if waiting and link.now() - begun > connect_timeout_s:
-                reason = f"{', '.join(waiting)}: nothing heard within {connect_timeout_s:g} s; is it running and sending here?"
+                who = ", ".join(waiting)
+                reason = f"{who}: nothing heard within {connect_timeout_s:g} s; is it running and sending here?"
             elif link.now() - flight.heard_at > SILENT_S and not waiting:
                 reason = f"every vehicle is silent since t = {flight.now_us * 1e-6:.2f} s of their clock"
             elif fleet.failure is not None:

@@ -1,6 +1,7 @@
 """Bytes <-> values on UDP: addresses, ids, sequence numbers, checksums. The only clock and the only wait.
 
-Every datagram is split and checked by itself, so a bad one never disturbs the next; frames are MAVLink 2 out, 1 or 2 in.
+Every datagram is split and checked by itself, so a bad one never disturbs the next. Frames are MAVLink 2 out, 1 or 2
+in.
 """
 
 import selectors
@@ -117,7 +118,9 @@ class Link:
     def __init__(self, endpoints: list[Endpoint]) -> None:
         self.ports: list[Port] = []
         self.counters = Counters()
-        self._selector = selectors.SelectSelector()  # select() waits with microsecond resolution, epoll with milliseconds
+        self._selector = (
+            selectors.SelectSelector()
+        )  # select() waits with microsecond resolution, epoll with milliseconds
         self._codec = mavlink.MAVLink(None)
         self._next_seq: dict[tuple[int, int, int], int] = {}
         self._last_seq: dict[tuple[int, int, int], int] = {}

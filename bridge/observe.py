@@ -1,8 +1,8 @@
 """Messages -> State at one instant: what belongs to the same time stamp is put together, the rest is left out.
 
 Link directions, rates and the payload come from the tracker (ODOMETRY, CABLE_STATE), attitudes and rates from the
-vehicles (ATTITUDE_QUATERNION). A vehicle's own LOCAL_POSITION_NED is redundant with those and is kept as a check: it says
-whether the vehicle hangs where its cable says it does.
+vehicles (ATTITUDE_QUATERNION). A vehicle's own LOCAL_POSITION_NED is redundant with those and is kept as a check: it
+says whether the vehicle hangs where its cable says it does.
 """
 
 from typing import NamedTuple

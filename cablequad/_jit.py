@@ -12,8 +12,9 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
-from numba.core import config
+from numba.core import config as _config
 
+config: Any = _config
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -38,9 +39,19 @@ _CACHE_FOLDER = _cache_folder()
 
 def jit(function: F) -> F:
     """Compile `function` with numba, without the GIL, cached on disk. NUMBA_DISABLE_JIT=1 leaves it plain Python."""
+    return _compiled(function, False)
+
+
+def inlined(function: F) -> F:
+    """`jit` for the parts of a hot loop: merged into their caller, as a call would count references to every array."""
+    return _compiled(function, True)
+
+
+def _compiled(function: F, forceinline: bool) -> F:
     before, config.CACHE_DIR = config.CACHE_DIR, _CACHE_FOLDER
     try:
-        compiled: F = numba.njit(cache=bool(_CACHE_FOLDER), nogil=True, error_model="numpy")(function)
+        cache = bool(_CACHE_FOLDER)
+        compiled: Any = numba.njit(cache=cache, nogil=True, error_model="numpy", forceinline=forceinline)(function)
         return compiled
     finally:
         config.CACHE_DIR = before

@@ -80,7 +80,9 @@ def flown_model(system: System, airframe: Airframe, period: float, delay: int) -
     damping = np.repeat(2.0 * airframe.damping * airframe.bandwidth, 2)
     zero = np.zeros((2 * n, 2 * n))
     none = np.zeros((2 * n, X))
-    F = np.block([[A, B @ flat, np.zeros((X, 2 * n))], [none, zero, np.eye(2 * n)], [none, np.diag(-w_sq), np.diag(-damping)]])
+    F = np.block(
+        [[A, B @ flat, np.zeros((X, 2 * n))], [none, zero, np.eye(2 * n)], [none, np.diag(-w_sq), np.diag(-damping)]]
+    )
     H = np.vstack([B @ upright, np.zeros((2 * n, 3 * n)), w_sq[:, None] * flat.T])
     held = linalg.expm(period * np.block([[F, H], [np.zeros((3 * n, F.shape[0] + 3 * n))]]))
     F_d, H_d = held[: len(F), : len(F)], held[: len(F), len(F) :]
@@ -132,7 +134,10 @@ def sampled_law(system: System, airframe: Airframe, weights: Weights, period: fl
 
 
 def _none(n: int, why: str) -> str:
-    return f"control: no stabilising gains for {n} vehicle{'s' if n > 1 else ''} ({why}); some motion of the load is out of reach of the vehicles' forces or the weights are out of proportion"
+    return (
+        f"control: no stabilising gains for {n} vehicle{'s' if n > 1 else ''} ({why}); some motion of the load is out "
+        "of reach of the vehicles' forces or the weights are out of proportion"
+    )
 
 
 def _design(system: System, K: Array, delay: int, max_thrust: Array) -> Design:

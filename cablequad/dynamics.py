@@ -1,7 +1,7 @@
 """Equations of motion (Proposition 1, with the misprints corrected): tensions first, and the paper's dense form.
 
-`accelerations` is what runs: cost linear in the number of links. `dense` writes the paper's N Xddot = P and serves as its
-judge. Forces are the quadrotors' u_i = -f_i R_i e3 in the world frame, N.
+`accelerations` is what runs: cost linear in the number of links. `dense` writes the paper's N Xddot = P and serves as
+its judge. Forces are the quadrotors' u_i = -f_i R_i e3 in the world frame, N.
 """
 
 from typing import NamedTuple
@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cablequad import lie
-from cablequad._jit import jit
+from cablequad._jit import inlined, jit
 from cablequad.state import State, positions, velocities
 from cablequad.system import System
 from cablequad.types import Array
@@ -52,11 +52,11 @@ def workspace(system: System) -> Workspace:
     )
 
 
-@jit
+@inlined
 def accelerate(system: System, state: State, force: Array, out: Accelerations, work: Workspace) -> None:
     """`accelerations` into `out`, without allocation.
 
-    Per cable, the length constraints q_j . (a_j - a_{j-1}) = -l_j |w_j|^2 are tridiagonal in the tensions; sweeping from
+    Per cable, the length constraints q_j . (a_j - a_{j-1}) = -l_j |w_j|^2 are tridiagonal in the tensions; a sweep from
     the quadrotor leaves T_n = k (beta + s) with s = q_n . (a_i - g e3) the attachment's acceleration along the last
     link. Each cable then enters the payload's 6 x 6 system as a rank-one term and the tied mass m_{i,n_i}.
     """
@@ -65,7 +65,7 @@ def accelerate(system: System, state: State, force: Array, out: Accelerations, w
     _sweep_up(system, state, force, out, work)
 
 
-@jit
+@inlined
 def _sweep_down(system: System, state: State, force: Array, work: Workspace) -> None:
     """Eliminate T_1 .. T_{n-1} of every cable: `pivot` and `rhs` then hold 1/k and beta in their last entries."""
     for i in range(system.m.shape[0]):
@@ -87,7 +87,7 @@ def _sweep_down(system: System, state: State, force: Array, work: Workspace) -> 
             work.rhs[i, j] = rhs
 
 
-@jit
+@inlined
 def _solve_payload(system: System, state: State, out: Accelerations, work: Workspace) -> None:
     """Newton and Euler for the payload in its own frame: z = [R0'(xddot - g e3); Omega0_dot]."""
     R0, O, S = state.R0, state.Omega0, work.S
@@ -147,7 +147,7 @@ def _solve_payload(system: System, state: State, out: Accelerations, work: Works
     out.x0_ddot[2] += system.g
 
 
-@jit
+@inlined
 def _solve_spd(S: Array) -> None:
     """Replace the last column of S (6, 7) by the solution: Cholesky of the lower triangle, in place."""
     for a in range(6):
@@ -168,7 +168,7 @@ def _solve_spd(S: Array) -> None:
         S[a, 6] = total / S[a, a]
 
 
-@jit
+@inlined
 def _sweep_up(system: System, state: State, force: Array, out: Accelerations, work: Workspace) -> None:
     """Tensions from the payload upward, then omega_dot_j = q_j x (a_j - a_{j-1}) / l_j."""
     Y, Od = work.S[0:3, 6], out.Omega0_dot

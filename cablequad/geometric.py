@@ -82,9 +82,6 @@ def moment(J: Array, R: Array, Omega: Array, command: AttitudeCommand, k_R: floa
     relative = R.T @ command.R_c
     rate = relative @ command.Omega_c
     M: Array = (
-        -k_R * error.e_R
-        - k_Omega * error.e_Omega
-        + np.cross(rate, J @ rate)
-        + J @ relative @ command.Omega_c_dot
+        -k_R * error.e_R - k_Omega * error.e_Omega + np.cross(rate, J @ rate) + J @ relative @ command.Omega_c_dot
     )
     return M

@@ -1,19 +1,23 @@
 """One step of the motion: Runge-Kutta-Munthe-Kaas of order 4 on R^3 x SO(3)^(n+1) x (S^2)^links and the velocities.
 
-Each group element advances by the exponential of increments in its Lie algebra, corrected by the inverse differential
-of the exponential; directions and frames therefore never leave their manifolds. Velocities advance as in classical RK4.
+Each group element advances by the exponential of an increment in its Lie algebra, whose slope is corrected by the
+inverse differential of the exponential; directions and frames therefore never leave their manifolds. Velocities advance
+as in classical RK4.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from cablequad import lie
-from cablequad._jit import jit
+from cablequad._jit import inlined, jit
 from cablequad.dynamics import Accelerations, Workspace, accelerate, workspace
 from cablequad.state import State
 from cablequad.system import System
-from cablequad.types import Array
+from cablequad.types import Array, Triple
+
+BODY, WORLD = 1.0, -1.0  # rates of frames are body rates, R' = R hat(w); rates of directions world rates, q' = w x q
 
 
 class Command(NamedTuple):
@@ -23,14 +27,27 @@ class Command(NamedTuple):
     moment: Array  # (n, 3) N m, M_i, body frames
 
 
+class Tangent(NamedTuple):
+    """A change of every field of a state: group elements as rotation vectors, the rest as differences."""
+
+    x0: Array  # (3,)
+    v0: Array  # (3,)
+    R0: Array  # (3,), payload frame
+    Omega0: Array  # (3,)
+    q: Array  # (n, L, 3), W
+    omega: Array  # (n, L, 3)
+    R: Array  # (n, 3), body frames
+    Omega: Array  # (n, 3)
+
+
 class Scratch(NamedTuple):
     """Everything a step writes to besides its result, allocated once."""
 
     stage: State  # where the derivative is taken
-    slope: Accelerations
+    move: Tangent  # what leads from the step's start to the stage
+    total: Tangent  # weighted sum of slopes
+    acc: Accelerations
     Omega_dot: Array  # (n, 3) rad/s^2, quadrotors
-    rates: State  # weighted sum of slopes, in the algebra: x0, v0, Omega0, omega, Omega; q and (R, R0)[:, 0] hold xi
-    turn: State  # increments of the current stage, in the same places
     force: Array  # (n, 3) N, W
     work: Workspace
 
@@ -46,40 +63,52 @@ def step(system: System, state: State, command: Command, h: float) -> State:
 def scratch(system: System, state: State) -> Scratch:
     """Workspace of `advance` for systems and states of this shape."""
     n, L = system.length.shape
-    slope = Accelerations(np.zeros(3), np.zeros(3), np.zeros((n, L, 3)), np.zeros((n, L)))
-    return Scratch(
-        _copy(state), slope, np.zeros((n, 3)), _copy(state), _copy(state), np.zeros((n, 3)), workspace(system)
+    acc = Accelerations(np.zeros(3), np.zeros(3), np.zeros((n, L, 3)), np.zeros((n, L)))
+    s = state
+    stage = State(
+        s.x0.copy(), s.v0.copy(), s.R0.copy(), s.Omega0.copy(), s.q.copy(), s.omega.copy(), s.R.copy(), s.Omega.copy()
     )
+    return Scratch(stage, _tangent(n, L), _tangent(n, L), acc, np.zeros((n, 3)), np.zeros((n, 3)), workspace(system))
 
 
 @jit
-def _copy(s: State) -> State:
-    return State(
-        s.x0.copy(), s.v0.copy(), s.R0.copy(), s.Omega0.copy(), s.q.copy(), s.omega.copy(), s.R.copy(), s.Omega.copy()
-    )
+def _tangent(n: int, L: int) -> Tangent:
+    return Tangent(
+        np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3),
+        np.zeros((n, L, 3)), np.zeros((n, L, 3)), np.zeros((n, 3)), np.zeros((n, 3)),
+    )  # fmt: skip
 
 
 @jit
 def advance(system: System, state: State, command: Command, h: float, steps: int, s: Scratch) -> None:
     """`steps` steps of length `h` in place, without allocation."""
     for _ in range(steps):
+        _clear(s)
         _derive(system, state, command, s)
-        _accumulate(system, state, s, h / 6.0, True)
-        _place(system, state, s, 0.5 * h)
+        _stage(system, state, state, s, h / 6.0, 0.5 * h)
         _derive(system, s.stage, command, s)
-        _accumulate(system, s.stage, s, h / 3.0, False)
-        _place(system, state, s, 0.5 * h)
+        _stage(system, state, s.stage, s, h / 3.0, 0.5 * h)
         _derive(system, s.stage, command, s)
-        _accumulate(system, s.stage, s, h / 3.0, False)
-        _place(system, state, s, h)
+        _stage(system, state, s.stage, s, h / 3.0, h)
         _derive(system, s.stage, command, s)
-        _accumulate(system, s.stage, s, h / 6.0, False)
+        _stage(system, state, s.stage, s, h / 6.0, 0.0)
         _finish(system, state, s)
 
 
-@jit
+@inlined
+def _clear(s: Scratch) -> None:
+    """A step begins at its start, with nothing summed."""
+    for t in (s.move, s.total):
+        t.x0[:], t.v0[:], t.R0[:], t.Omega0[:] = 0.0, 0.0, 0.0, 0.0
+        t.q[:] = 0.0
+        t.omega[:] = 0.0
+        t.R[:] = 0.0
+        t.Omega[:] = 0.0
+
+
+@inlined
 def _derive(system: System, at: State, command: Command, s: Scratch) -> None:
-    """Slopes at `at`: accelerations of payload and links, and J Omega_dot = M - Omega x J Omega of each quadrotor."""
+    """Accelerations at `at`: payload and links, and J Omega_dot = M - Omega x J Omega of each quadrotor."""
     for i in range(system.m.shape[0]):
         R, O, J, Ji = at.R[i], at.Omega[i], system.J[i], system.J_inv[i]
         f = command.thrust[i]
@@ -92,107 +121,101 @@ def _derive(system: System, at: State, command: Command, s: Scratch) -> None:
         t2 = command.moment[i, 2] - (O[0] * h1 - O[1] * h0)
         for a in range(3):
             s.Omega_dot[i, a] = Ji[a, 0] * t0 + Ji[a, 1] * t1 + Ji[a, 2] * t2
-    accelerate(system, at, s.force, s.slope, s.work)
+    accelerate(system, at, s.force, s.acc, s.work)
 
 
-@jit
-def _turn(out: Array, xi: Array, w: Array, side: float) -> None:
-    """out = dexp^-1_xi(w), to the order that RK4 needs; side +1 for body rates (R' = R hat w), -1 for world rates.
+@inlined
+def _stage(system: System, base: State, at: State, s: Scratch, weight: float, reach: float) -> None:
+    """Sum the slopes at `at` with `weight`, then move the stage to `base` + `reach` x slope (reach 0: no next stage).
 
-    out may not be xi: both products are taken before it is written.
+    `at` may be the stage itself: what is read of it is read before it is written. Triples are tuples here, as views of
+    arrays would cost more than the arithmetic.
     """
-    c0, c1, c2 = xi[1] * w[2] - xi[2] * w[1], xi[2] * w[0] - xi[0] * w[2], xi[0] * w[1] - xi[1] * w[0]
-    d0, d1, d2 = xi[1] * c2 - xi[2] * c1, xi[2] * c0 - xi[0] * c2, xi[0] * c1 - xi[1] * c0
-    k = 0.5 * side
-    out[0] = w[0] + k * c0 + d0 / 12.0
-    out[1] = w[1] + k * c1 + d1 / 12.0
-    out[2] = w[2] + k * c2 + d2 / 12.0
-
-
-@jit
-def _accumulate(system: System, at: State, s: Scratch, weight: float, first: bool) -> None:
-    """Add weight x slope to `rates`, and leave the group slopes of this stage in `turn`.
-
-    On entry `turn` holds the stage's own increments xi (zero at the first stage).
-    """
-    rates, turn = s.rates, s.turn
-    if first:
-        for a in (rates.x0, rates.v0, rates.Omega0, turn.x0, turn.v0, turn.Omega0):
-            a[:] = 0.0
-        rates.R0[:] = 0.0
-        turn.R0[:] = 0.0
-        for b in (rates.q, rates.omega, rates.R, turn.q, turn.omega, turn.R):
-            b[:] = 0.0
-        rates.Omega[:] = 0.0
-        turn.Omega[:] = 0.0
-    _turn(turn.R0[1], turn.R0[0], at.Omega0, 1.0)
+    stage, move, total, acc = s.stage, s.move, s.total, s.acc
     for a in range(3):
-        turn.x0[a], turn.v0[a], turn.Omega0[a] = at.v0[a], s.slope.x0_ddot[a], s.slope.Omega0_dot[a]
-        turn.R0[0, a] = turn.R0[1, a]
-        rates.x0[a] += weight * turn.x0[a]
-        rates.v0[a] += weight * turn.v0[a]
-        rates.Omega0[a] += weight * turn.Omega0[a]
-        rates.R0[0, a] += weight * turn.R0[0, a]
-    for i in range(system.m.shape[0]):
-        _turn(turn.R[i, 1], turn.R[i, 0], at.Omega[i], 1.0)
-        for a in range(3):
-            turn.R[i, 0, a] = turn.R[i, 1, a]
-            turn.Omega[i, a] = s.Omega_dot[i, a]
-            rates.R[i, 0, a] += weight * turn.R[i, 0, a]
-            rates.Omega[i, a] += weight * turn.Omega[i, a]
-        for j in range(system.n_links[i]):
-            _turn(turn.R0[2], turn.q[i, j], at.omega[i, j], -1.0)
-            for a in range(3):
-                turn.q[i, j, a] = turn.R0[2, a]
-                turn.omega[i, j, a] = s.slope.omega_dot[i, j, a]
-                rates.q[i, j, a] += weight * turn.q[i, j, a]
-                rates.omega[i, j, a] += weight * turn.omega[i, j, a]
-
-
-@jit
-def _place(system: System, base: State, s: Scratch, weight: float) -> None:
-    """stage = base moved by weight x turn; `turn` then holds the increments xi = weight x slope of that stage."""
-    stage, turn = s.stage, s.turn
+        x, v, O = at.v0[a], acc.x0_ddot[a], acc.Omega0_dot[a]
+        total.x0[a] += weight * x
+        total.v0[a] += weight * v
+        total.Omega0[a] += weight * O
+        stage.x0[a] = base.x0[a] + reach * x
+        stage.v0[a] = base.v0[a] + reach * v
+    k = _slope(_triple(move.R0), _triple(at.Omega0), BODY)
     for a in range(3):
-        stage.x0[a] = base.x0[a] + weight * turn.x0[a]
-        stage.v0[a] = base.v0[a] + weight * turn.v0[a]
-        stage.Omega0[a] = base.Omega0[a] + weight * turn.Omega0[a]
-        turn.R0[0, a] *= weight
-    lie.rotate_frame(stage.R0, base.R0, turn.R0[0])
+        total.R0[a] += weight * k[a]
+        move.R0[a] = reach * k[a]
+        stage.Omega0[a] = base.Omega0[a] + reach * acc.Omega0_dot[a]
+    if reach != 0.0:
+        lie.rotate_frame(stage.R0, base.R0, move.R0)
     for i in range(system.m.shape[0]):
+        k = _slope((move.R[i, 0], move.R[i, 1], move.R[i, 2]), (at.Omega[i, 0], at.Omega[i, 1], at.Omega[i, 2]), BODY)
         for a in range(3):
-            turn.R[i, 0, a] *= weight
-            stage.Omega[i, a] = base.Omega[i, a] + weight * turn.Omega[i, a]
-        lie.rotate_frame(stage.R[i], base.R[i], turn.R[i, 0])
+            total.R[i, a] += weight * k[a]
+            move.R[i, a] = reach * k[a]
+            total.Omega[i, a] += weight * s.Omega_dot[i, a]
+            stage.Omega[i, a] = base.Omega[i, a] + reach * s.Omega_dot[i, a]
+        if reach != 0.0:
+            lie.rotate_frame(stage.R[i], base.R[i], move.R[i])
         for j in range(system.n_links[i]):
+            k = _slope(
+                (move.q[i, j, 0], move.q[i, j, 1], move.q[i, j, 2]),
+                (at.omega[i, j, 0], at.omega[i, j, 1], at.omega[i, j, 2]),
+                WORLD,
+            )
+            d = (acc.omega_dot[i, j, 0], acc.omega_dot[i, j, 1], acc.omega_dot[i, j, 2])
+            xi = (reach * k[0], reach * k[1], reach * k[2])
+            q = lie.rotated(xi, (base.q[i, j, 0], base.q[i, j, 1], base.q[i, j, 2]))
             for a in range(3):
-                turn.q[i, j, a] *= weight
-                stage.omega[i, j, a] = base.omega[i, j, a] + weight * turn.omega[i, j, a]
-            lie.rotate_direction(stage.q[i, j], turn.q[i, j], base.q[i, j])
+                total.q[i, j, a] += weight * k[a]
+                total.omega[i, j, a] += weight * d[a]
+                move.q[i, j, a] = xi[a]
+                stage.q[i, j, a] = q[a]
+                stage.omega[i, j, a] = base.omega[i, j, a] + reach * d[a]
 
 
-@jit
+@inlined
+def _triple(v: Array) -> Triple:
+    return v[0], v[1], v[2]
+
+
+@inlined
+def _slope(xi: Triple, w: Triple, side: float) -> Triple:
+    """dexp^-1_xi(w) = w + side/2 xi x w + 1/12 xi x (xi x w), to the order that RK4 needs."""
+    c = lie.cross_triple(xi, w)
+    d = lie.cross_triple(xi, c)
+    half = 0.5 * side
+    return (
+        w[0] + half * c[0] + d[0] * (1 / 12),
+        w[1] + half * c[1] + d[1] * (1 / 12),
+        w[2] + half * c[2] + d[2] * (1 / 12),
+    )
+
+
+@inlined
 def _finish(system: System, state: State, s: Scratch) -> None:
-    """state moved by the weighted slopes; rounding drift and the order-5 part of omega along q are taken off."""
-    rates, keep = s.rates, s.turn
+    """state moved by the summed slopes; rounding drift and the order-5 part of omega along q are taken off."""
+    total, keep = s.total, s.stage
     for a in range(3):
-        state.x0[a] += rates.x0[a]
-        state.v0[a] += rates.v0[a]
-        state.Omega0[a] += rates.Omega0[a]
+        state.x0[a] += total.x0[a]
+        state.v0[a] += total.v0[a]
+        state.Omega0[a] += total.Omega0[a]
     keep.R0[:] = state.R0
-    lie.rotate_frame(state.R0, keep.R0, rates.R0[0])
+    lie.rotate_frame(state.R0, keep.R0, total.R0)
     lie.orthonormalize(state.R0)
     for i in range(system.m.shape[0]):
         for a in range(3):
-            state.Omega[i, a] += rates.Omega[i, a]
+            state.Omega[i, a] += total.Omega[i, a]
         keep.R[i][:] = state.R[i]
-        lie.rotate_frame(state.R[i], keep.R[i], rates.R[i, 0])
+        lie.rotate_frame(state.R[i], keep.R[i], total.R[i])
         lie.orthonormalize(state.R[i])
         for j in range(system.n_links[i]):
-            q, w = state.q[i, j], state.omega[i, j]
-            lie.rotate_direction(q, rates.q[i, j], q)
+            xi = (total.q[i, j, 0], total.q[i, j, 1], total.q[i, j, 2])
+            q = lie.rotated(xi, (state.q[i, j, 0], state.q[i, j, 1], state.q[i, j, 2]))
+            scale = 1.0 / math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2])
+            q = (q[0] * scale, q[1] * scale, q[2] * scale)
+            along = 0.0
             for a in range(3):
-                w[a] += rates.omega[i, j, a]
-            along = w[0] * q[0] + w[1] * q[1] + w[2] * q[2]
+                state.q[i, j, a] = q[a]
+                state.omega[i, j, a] += total.omega[i, j, a]
+                along += q[a] * state.omega[i, j, a]
             for a in range(3):
-                w[a] -= along * q[a]
+                state.omega[i, j, a] -= along * q[a]

@@ -62,7 +62,7 @@ def jerks(system: System, state: State, acc: Accelerations, force: Array, force_
                 if k != j:
                     b[here] -= system.M_0[i, min(j, k)] * system.length[i, k] * S_dot @ q_ddot[i, k]
         row += 3 * int(system.n_links[i])
-    x = np.linalg.solve(N, b)
+    x: Array = np.asarray(np.linalg.solve(N, b), dtype=float)
     q_dddot = np.zeros((n, L, 3))
     row = 6
     for i in range(n):

@@ -11,24 +11,35 @@ import math
 
 import numpy as np
 
-from cablequad._jit import jit
-from cablequad.types import Array
+from cablequad._jit import inlined, jit
+from cablequad.types import Array, Triple
 
 SERIES = 0.06  # rad^2: below it the first omitted term of every series is under 1e-16
+SHORT = 0.01  # rad^2: the same for the shorter series of `sinc_pair`
+
+
+@inlined
+def sinc_pair(angle_sq: float) -> tuple[float, float]:
+    """sin(a)/a and (1 - cos a)/a^2 for a^2 = `angle_sq` >= 0: what a rotation needs."""
+    s = angle_sq
+    if s < SHORT:
+        a = 1.0 + s * (-1 / 6 + s * (1 / 120 + s * (-1 / 5040 + s * (1 / 362880))))
+        b = 0.5 + s * (-1 / 24 + s * (1 / 720 + s * (-1 / 40320 + s * (1 / 3628800))))
+        return a, b
+    angle = math.sqrt(s)
+    half = math.sin(0.5 * angle)
+    return math.sin(angle) / angle, 2.0 * half * half / s
 
 
 @jit
 def sinc_terms(angle_sq: float) -> tuple[float, float, float]:
-    """sin(a)/a, (1 - cos a)/a^2 and (a - sin a)/a^3 for a^2 = `angle_sq` >= 0."""
+    """`sinc_pair` and (a - sin a)/a^3, which needs its series further out."""
     s = angle_sq
+    a, b = sinc_pair(s)
     if s < SERIES:
-        a = 1 - s / 6 * (1 - s / 20 * (1 - s / 42 * (1 - s / 72 * (1 - s / 110 * (1 - s / 156)))))
-        b = 0.5 * (1 - s / 12 * (1 - s / 30 * (1 - s / 56 * (1 - s / 90 * (1 - s / 132 * (1 - s / 182))))))
         c = (1 - s / 20 * (1 - s / 42 * (1 - s / 72 * (1 - s / 110 * (1 - s / 156 * (1 - s / 210)))))) / 6
         return a, b, c
-    angle = math.sqrt(s)
-    sin, half = math.sin(angle), math.sin(0.5 * angle)
-    return sin / angle, 2.0 * half * half / s, (angle - sin) / (s * angle)
+    return a, b, (1.0 - a) / s
 
 
 @jit
@@ -49,24 +60,26 @@ def cross(a: Array, b: Array) -> Array:
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
-@jit
-def rotate_direction(out: Array, xi: Array, q: Array) -> None:
-    """out = exp(hat(xi)) q, normalised: the action of SO(3) on S^2, in place, without allocation."""
-    x, y, z = xi[0], xi[1], xi[2]
-    a, b, _ = sinc_terms(x * x + y * y + z * z)
-    cx, cy, cz = y * q[2] - z * q[1], z * q[0] - x * q[2], x * q[1] - y * q[0]
-    ox = q[0] + a * cx + b * (y * cz - z * cy)
-    oy = q[1] + a * cy + b * (z * cx - x * cz)
-    oz = q[2] + a * cz + b * (x * cy - y * cx)
-    scale = 1.0 / math.sqrt(ox * ox + oy * oy + oz * oz)
-    out[0], out[1], out[2] = ox * scale, oy * scale, oz * scale
+@inlined
+def cross_triple(a: Triple, b: Triple) -> Triple:
+    """a x b for tuples: compiled loops keep them in registers."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@jit
+@inlined
+def rotated(xi: Triple, q: Triple) -> Triple:
+    """exp(hat(xi)) q: the action of SO(3) on S^2."""
+    a, b = sinc_pair(xi[0] * xi[0] + xi[1] * xi[1] + xi[2] * xi[2])
+    c = cross_triple(xi, q)
+    d = cross_triple(xi, c)
+    return q[0] + a * c[0] + b * d[0], q[1] + a * c[1] + b * d[1], q[2] + a * c[2] + b * d[2]
+
+
+@inlined
 def rotate_frame(out: Array, R: Array, xi: Array) -> None:
     """out = R exp(hat(xi)), in place, without allocation; `out` must not be R."""
     x, y, z = xi[0], xi[1], xi[2]
-    a, b, _ = sinc_terms(x * x + y * y + z * z)
+    a, b = sinc_pair(x * x + y * y + z * z)
     e00, e01, e02 = 1 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y
     e10, e11, e12 = b * x * y + a * z, 1 - b * (x * x + z * z), b * y * z - a * x
     e20, e21, e22 = b * x * z - a * y, b * y * z + a * x, 1 - b * (x * x + y * y)
@@ -85,7 +98,7 @@ def exp(xi: Array) -> Array:
     return out
 
 
-@jit
+@inlined
 def orthonormalize(R: Array) -> None:
     """One Newton step towards the nearest rotation, R (3 I - R'R) / 2, in place: removes rounding drift."""
     s00, s01, s02, s11, s12, s22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0

@@ -9,7 +9,7 @@ from cablequad._jit import jit
 from cablequad.design import Design
 from cablequad.geometric import attitude_of_force
 from cablequad.state import Error, State, local
-from cablequad.types import Array
+from cablequad.types import Array, Counts
 
 
 class Measurement(NamedTuple):
@@ -100,7 +100,7 @@ def _commands(A: Array, R: Array, b1: Array, R_before: Array, max_thrust: Array)
 
 
 @jit
-def _link_errors(n_links: Array, q: Array, omega: Array, R0: Array) -> tuple[float, float, float]:
+def _link_errors(n_links: Counts, q: Array, omega: Array, R0: Array) -> tuple[float, float, float]:
     e_q, e_omega = 0.0, 0.0
     for i in range(n_links.shape[0]):
         for j in range(n_links[i]):

@@ -51,7 +51,7 @@ class Error(NamedTuple):
 
 @jit
 def local(system: System, target: State, state: State) -> Error:
-    """Coordinates of `state` in the chart around `target` (the payload and links; quadrotor attitudes are inputs there).
+    """Coordinates of `state` in the chart around `target`: payload and links; quadrotor attitudes are inputs there.
 
     eta_0 is the rotation vector of R_0d' R_0; xi_ij is the shortest rotation vector from q_ijd to q_ij in the basis C
     carried to q_ijd. To first order these are the variations of Proposition 2.
@@ -91,13 +91,13 @@ def retract(system: System, target: State, error: Error) -> State:
     k = 6
     for i in range(system.m.shape[0]):
         for j in range(system.n_links[i]):
-            C = lie.tangent_basis(target.q[i, j])
+            qd = target.q[i, j]
+            C = lie.tangent_basis(qd)
             xi = error.x[k] * C[:, 0] + error.x[k + 1] * C[:, 1]
-            lie.rotate_direction(out.q[i, j], xi, target.q[i, j])
+            out.q[i, j] = lie.rotated((xi[0], xi[1], xi[2]), (qd[0], qd[1], qd[2]))
             w = target.omega[i, j] + error.x_dot[k] * C[:, 0] + error.x_dot[k + 1] * C[:, 1]
             q = out.q[i, j]
             # the component along q is chosen so that q . omega = 0 while C'omega stays as given
-            qd = target.q[i, j]
             along = q[0] * qd[0] + q[1] * qd[1] + q[2] * qd[2]
             wq = w[0] * q[0] + w[1] * q[1] + w[2] * q[2]
             out.omega[i, j] = w - (wq / along) * qd if abs(along) > 1e-3 else w - wq * q

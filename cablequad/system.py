@@ -1,7 +1,7 @@
 """What never changes during a flight: bodies, cables, and the constants the equations are written in.
 
-The parts (`Payload`, `Quadrotor`, `Cable`) are what a user describes; `System` holds the same as padded arrays under the
-paper's letters, ready for compiled code.
+The parts (`Payload`, `Quadrotor`, `Cable`) are what a user describes; `System` holds the same as padded arrays under
+the paper's letters, ready for compiled code.
 """
 
 from collections.abc import Sequence
@@ -75,9 +75,9 @@ class System(NamedTuple):
                 raise ValueError(f"cable {i}: no links; a cable needs at least one")
             if len(cable.masses) != len(cable.lengths):
                 raise ValueError(f"cable {i}: {len(cable.masses)} masses but {len(cable.lengths)} lengths")
-            for j, (mass, length) in enumerate(zip(cable.masses, cable.lengths, strict=True), start=1):
-                _positive(f"cable {i} link {j} mass", mass)
-                _positive(f"cable {i} link {j} length", length)
+            for j, (m_ij, l_ij) in enumerate(zip(cable.masses, cable.lengths, strict=True), start=1):
+                _positive(f"cable {i} link {j} mass", m_ij)
+                _positive(f"cable {i} link {j} length", l_ij)
         for i, quadrotor in enumerate(quadrotors, start=1):
             _positive(f"quadrotor {i} mass", quadrotor.mass)
 
@@ -150,5 +150,7 @@ def _inertia(name: str, value: npt.ArrayLike) -> Array:
     if principal[0] <= 0.0:
         raise ValueError(f"{name}: principal moments {principal.tolist()} must all be above 0")
     if principal[2] > (principal[0] + principal[1]) * (1 + 1e-9):
-        raise ValueError(f"{name}: principal moments {principal.tolist()} belong to no body (the largest exceeds the sum)")
+        raise ValueError(
+            f"{name}: principal moments {principal.tolist()} belong to no body (the largest exceeds the sum)"
+        )
     return J

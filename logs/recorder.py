@@ -1,9 +1,10 @@
 """MCAP out, in a thread of its own: the control loop only puts values into a queue.
 
-The file is NAME.mcap.part until `finish`; chunks are closed every `FLUSH_S`, so that a run that is killed loses no more.
+The file is NAME.mcap.part until `finish`; chunks are closed every `FLUSH_S`, so a killed run loses no more.
 A write that fails (a full disk) cuts the file back to its last whole chunk, keeps the error and ends the recording.
 """
 
+import contextlib
 import os
 import queue
 import threading
@@ -109,6 +110,7 @@ class Recorder:
             self._writer.add_attachment(epoch_ns, epoch_ns, item.name, item.media_type, item.data)
         for name, values in metadata.items():
             self._writer.add_metadata(name, dict(values))
+        self._file.flush()
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
         self._put(lambda: self._write("/scene", 0, encode.scene(model, epoch_ns)))
@@ -190,7 +192,7 @@ class Recorder:
                 self._give_up(error)
         if self.error is None:
             try:
-                self._writer.finish()
+                self._writer.finish()  # type: ignore[no-untyped-call]
                 self._file.flush()
                 os.fsync(self._file.fileno())
                 self._file.close()
@@ -201,16 +203,14 @@ class Recorder:
         return
 
     def _flush(self) -> None:
-        self._writer.flush()
+        self._writer.flush()  # type: ignore[no-untyped-call]
         self._good_offset = self._file.tell()
 
     def _give_up(self, error: OSError) -> None:
         self.error = f"log {self.part}: {error.strerror or error}; kept up to the last flush"
         descriptor = os.dup(self._file.fileno())
-        try:
+        with contextlib.suppress(OSError):
             self._file.close()
-        except OSError:
-            pass
         os.ftruncate(descriptor, self._good_offset)
         os.close(descriptor)
 
@@ -222,9 +222,7 @@ class Recorder:
                 kind.DESCRIPTOR.full_name, "protobuf", build_file_descriptor_set(kind).SerializeToString()
             )
             channel = self._channels[topic] = self._writer.register_channel(topic, "protobuf", schema)
-        self._writer.add_message(
-            channel, self._epoch_ns + boot_us * 1000, message.SerializeToString(), time.time_ns()
-        )
+        self._writer.add_message(channel, self._epoch_ns + boot_us * 1000, message.SerializeToString(), time.time_ns())
 
     def _truth(self, boot_us: int, held: bool, motion: Motion) -> None:
         self._with_truth = True

@@ -81,7 +81,7 @@ def motion_of(run: Run) -> Motion:
 def log(out: rr.RecordingStream, run: Run, m: Motion) -> None:
     """Send everything."""
     model = {key: json.loads(value) for key, value in run.metadata["model"].items()}
-    _bodies(out, run, m, model)
+    _bodies(out, m, model)
     _cables(out, m, np.array(model["n_links"]))
     _plots(out, run, m, np.array(model["max_thrust_N"]))
     _events(out, run)
@@ -123,9 +123,7 @@ def layout(m: Motion) -> rrb.Blueprint:
     )
     return rrb.Blueprint(
         rrb.Horizontal(
-            rrb.Vertical(
-                scene, rrb.StateTimelineView(name="phases", origin="/phases"), row_shares=[6, 1]
-            ),
+            rrb.Vertical(scene, rrb.StateTimelineView(name="phases", origin="/phases"), row_shares=[6, 1]),
             plots,
             column_shares=[5, 6],
         ),
@@ -134,7 +132,7 @@ def layout(m: Motion) -> rrb.Blueprint:
     )
 
 
-def _bodies(out: rr.RecordingStream, run: Run, m: Motion, model: dict) -> None:
+def _bodies(out: rr.RecordingStream, m: Motion, model: dict) -> None:
     when = [_time(m.t)]
     out.log("world", rr.ViewCoordinates.FRD, static=True)
     half = 0.5 * np.array(model["box_m"])
@@ -160,14 +158,14 @@ def _bodies(out: rr.RecordingStream, run: Run, m: Motion, model: dict) -> None:
         out.log(
             f"{name}/rotors",
             rr.Ellipsoids3D(
-                half_sizes=[(0.085, 0.085, 0.006)] * 4, centers=tips + (0, 0, -0.02), colors=[rgb], fill_mode="solid"
+                half_sizes=[(0.085, 0.085, 0.006)] * 4, centers=tips - [0.0, 0.0, 0.02], colors=[rgb], fill_mode="solid"
             ),
             static=True,
         )
-        out.log(f"{name}/label", rr.Points3D([(0, 0, -0.12)], radii=[0.0], labels=[f"{i + 1}"], colors=[rgb]), static=True)
-        out.send_columns(
-            name, when, rr.Transform3D.columns(translation=m.quads[:, i], quaternion=_xyzw(m.quats[:, i]))
+        out.log(
+            f"{name}/label", rr.Points3D([(0, 0, -0.12)], radii=[0.0], labels=[f"{i + 1}"], colors=[rgb]), static=True
         )
+        out.send_columns(name, when, rr.Transform3D.columns(translation=m.quads[:, i], quaternion=_xyzw(m.quats[:, i])))
         up = _rotate(m.quats[:, i], np.array([[0.0, 0.0, -1.0]]))[:, 0]
         out.log(f"world/thrust/{i + 1}", rr.Arrows3D.from_fields(colors=[rgb], radii=[0.012]), static=True)
         out.send_columns(
@@ -192,7 +190,9 @@ def _cables(out: rr.RecordingStream, m: Motion, n_links: np.ndarray) -> None:
         out.send_columns(
             f"world/cables/{i + 1}",
             when,
-            rr.LineStrips3D.columns(strips=strips, colors=shade, radii=radii).partition([k] * len(m.t)),
+            rr.LineStrips3D.columns(strips=strips.astype(np.float32), colors=shade, radii=radii).partition(
+                [k] * len(m.t)
+            ),
         )
 
 

@@ -25,7 +25,9 @@ app.add_typer(scenarios_app, name="scenarios")
 FAILED, USAGE, INTERRUPTED = 1, 2, 130
 
 ScenarioArgument = Annotated[str, typer.Argument(help="A shipped scenario's name or the path of a TOML file.")]
-PortOffset = Annotated[int, typer.Option(help="Added to every UDP port, so that several can run at once.", min=0, max=40000)]
+PortOffset = Annotated[
+    int, typer.Option(help="Added to every UDP port, so that several can run at once.", min=0, max=40000)
+]
 SpeedOption = Annotated[
     str, typer.Option(help="max: lockstep, as fast as the machine allows; X: X times real time, without waiting.")
 ]
@@ -36,7 +38,10 @@ def fly(
     scenario: ScenarioArgument = "paper-case-1",
     connect: Annotated[
         list[str] | None,
-        typer.Option(help="udpin:HOST:PORT or udpout:HOST:PORT, one per vehicle and one for the payload tracker: fly what is there, start no simulator."),
+        typer.Option(
+            help="Fly what is there, start no simulator: udpin:HOST:PORT or udpout:HOST:PORT, one per vehicle and one "
+            "for the payload tracker."
+        ),
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for the log and the replay.")] = Path("runs"),
     speed: SpeedOption = "max",
@@ -50,6 +55,7 @@ def fly(
 
     Exit code 0 if the scenario's acceptance criteria hold, 1 if not, 2 for usage, 130 after Ctrl-C.
     """
+    from bridge.link import Endpoint, LinkError
     from missions.run import Options, run
     from missions.scenario import ScenarioError
 
@@ -60,10 +66,10 @@ def fly(
         _usage(f"--duration: {duration} given; seconds above 0 are needed")
     try:
         flight = _load(scenario, duration, seed)
-        options = Options(tuple(connect or ()), out, pace, port_offset)
+        options = Options(tuple(Endpoint.parse(url) for url in connect or ()), out, pace, port_offset)
         with _progress(quiet=as_json) as progress:
             summary, interrupted = run(flight, options, progress)
-    except ScenarioError as error:
+    except (ScenarioError, LinkError) as error:
         _usage(str(error))
     if replay and summary.log is not None:
         summary = _write_replay(summary)

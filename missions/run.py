@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import metadata as packages
@@ -19,8 +19,13 @@ import numpy as np
 from bridge.fleet import Fleet
 from bridge.fly import Outcome, Plan, Timing, fly
 from bridge.link import Endpoint, Link, LinkError, Received, Sent
+from bridge.wire.messages import attitude_target, decode
+from bridge.wire.messages import encode as encode_message
+from bridge.wire.values import PayloadState, VehicleAttitude
 from cablequad.design import Design
 from cablequad.pilot import Measurement, Reference, Sample, first_memory, tick
+from cablequad.system import System
+from logs import encode
 from logs.encode import Model, Motion
 from logs.recorder import Attachment, Recorder, RecorderError
 from missions import scenario as scenarios
@@ -28,7 +33,7 @@ from missions.scenario import Flight
 from missions.simulate import Simulator, settings
 from missions.summary import Summary, Track, summarize
 from sitl.plant import Truth
-from sitl.server import HOST, Event
+from sitl.server import HOST
 
 SWITCH_S = 0.0005  # the writer thread gives the interpreter back to the control loop this often
 
@@ -37,7 +42,7 @@ SWITCH_S = 0.0005  # the writer thread gives the interpreter back to the control
 class Options:
     """How to fly."""
 
-    connect: tuple[str, ...] = ()
+    connect: tuple[Endpoint, ...] = ()
     out: Path = Path("runs")
     speed: float = math.inf  # inf: lockstep, as fast as the machine allows
     port_offset: int = 0
@@ -94,7 +99,7 @@ class _Watch:
 
 
 def run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary, bool]:
-    """Fly; the summary and whether the user interrupted. What goes wrong is the summary's reason, never an exception."""
+    """Fly; the summary, and whether the user interrupted. What goes wrong is the summary's reason, no exception."""
     design = scenarios.design(flight)
     for note in flight.notes:
         progress.say(note)
@@ -125,14 +130,14 @@ def _run(flight: Flight, design: Design, options: Options, progress: Progress) -
                 lambda e: watch.recorder.event(e.boot_us, f"sitl-{e.kind}", e.subject, e.text),
             )
             progress.say("starting the vehicles (the first start on a machine compiles the model: about half a minute)")
-        _warm_up(design, flight)
+        _warm_up(design, flight, _model(flight))
         sys.setswitchinterval(SWITCH_S)
         with _interrupts() as interrupted:
             if simulator is not None and not simulator.wait_ready(lambda: not interrupted()):
                 outcome = Outcome(False, interrupted(), simulator.failure or "interrupted by the user")
                 timing = Timing(0, 0, [], [], 0.0)
             else:
-                outcome, timing = _fly(flight, design, options, link, watch, simulator, interrupted, progress)
+                outcome, timing = _fly(flight, design, link, watch, simulator, interrupted, progress)
         if simulator is not None:
             simulator.stop()
         missed = 0
@@ -142,7 +147,9 @@ def _run(flight: Flight, design: Design, options: Options, progress: Progress) -
             flight.scenario.name, flight.scenario.acceptance, watch.track, outcome, timing,
             link.counters.sent, link.counters.lost, missed, n,
         )  # fmt: skip
-        recorder.metadata("result", {k: json.dumps(v) for k, v in summary._asdict().items() if k not in ("log", "replay")})
+        recorder.metadata(
+            "result", {k: json.dumps(v) for k, v in summary._asdict().items() if k not in ("log", "replay")}
+        )
         path = recorder.finish()
         if recorder.error is not None:
             summary = summary._replace(passed=False, reason=recorder.error)
@@ -157,7 +164,6 @@ def _run(flight: Flight, design: Design, options: Options, progress: Progress) -
 def _fly(
     flight: Flight,
     design: Design,
-    options: Options,
     link: Link,
     watch: _Watch,
     simulator: Simulator | None,
@@ -185,22 +191,31 @@ def _fly(
             progress.flown(sample.t, s.duration_s, error, sample.t / max(1e-9, now - started[0]))
         return None
 
-    outcome, timing = fly(
-        link, fleet, plan, design, flight.control_us * 1e-6, watch, s.link.connect_timeout_s, look
-    )
+    outcome, timing = fly(link, fleet, plan, design, flight.control_us * 1e-6, watch, s.link.connect_timeout_s, look)
     return outcome._replace(interrupted=outcome.interrupted or interrupted()), timing
 
 
 def _endpoints(n: int, options: Options) -> list[Endpoint]:
     if options.connect:
-        return [Endpoint.parse(url) for url in options.connect]
+        return list(options.connect)
     ports = [14540 + i for i in range(n)] + [14600]
     return [Endpoint((HOST, port + options.port_offset), None) for port in ports]
 
 
-def _warm_up(design: Design, flight: Flight) -> None:
-    """Compile what the loop calls before anything waits for it."""
-    tick(first_memory(design), Measurement(0.0, flight.initial), Reference(flight.initial.x0, np.zeros(3)), design)
+def _warm_up(design: Design, flight: Flight, model: Model) -> None:
+    """Compile what the loop and the writer call before a clock runs: one decision, encoded as it will be."""
+    here = Reference(flight.initial.x0, np.zeros(3))
+    _, sample = tick(first_memory(design), Measurement(0.0, flight.initial), here, design)
+    encode.control(0, sample, [0.0] * len(model.max_thrust), False)
+    motion = encode.measured_motion(model, sample, [0.0] * len(model.max_thrust), sample.f)
+    encode.plant(0, True, motion)
+    encode.transforms(model, motion, 0, True)
+    for value in (
+        VehicleAttitude(0, sample.state.R[0], sample.state.Omega[0]),
+        PayloadState(0, sample.state.x0, sample.state.v0, sample.state.R0, sample.state.Omega0),
+        attitude_target(0, 1, sample.R_c[0], 0.5),
+    ):
+        decode(encode_message(value))
 
 
 @contextmanager
@@ -208,7 +223,7 @@ def _interrupts() -> Iterator[Callable[[], bool]]:
     """While inside, Ctrl-C and SIGTERM only raise a flag, so that a flight ends in order; a second Ctrl-C is a stop."""
     flag: list[int] = []
 
-    def raised(number: int, frame: FrameType | None) -> None:
+    def raised(number: int, _: FrameType | None) -> None:
         flag.append(number)
         if len(flag) > 1:
             raise KeyboardInterrupt
@@ -237,7 +252,7 @@ def _recorder(flight: Flight, design: Design, options: Options) -> Recorder:
     while path.exists() or path.with_name(path.name + ".part").exists():
         serial += 1
         path = options.out / f"{s.name}-{stamp}-{serial}.mcap"
-    model = Model(flight.system, tuple(s.payload.box_m), tuple(flight.airframe.max_thrust.tolist()))
+    model = _model(flight)
     about = {
         "scenario": s.name,
         "seed": str(s.seed),
@@ -251,23 +266,13 @@ def _recorder(flight: Flight, design: Design, options: Options) -> Recorder:
         "units": "SI",
         "vehicles": "connected" if options.connect else "built-in",
     }
-    system = flight.system
-    drawn = {
-        "n": system.m.tolist().__len__(),
-        "n_links": system.n_links.tolist(),
-        "lengths_m": system.length.tolist(),
-        "attachments_m": system.rho.tolist(),
-        "box_m": list(s.payload.box_m),
-        "max_thrust_N": flight.airframe.max_thrust.tolist(),
-        "target_m": list(s.target.position_m),
-    }
     gains = {"K_x": design.K_x.tolist(), "K_xdot": design.K_xdot.tolist(), "u_star": design.u_star.tolist()}
     return Recorder(
         path,
         model,
         {
             "run": about,
-            "model": {key: json.dumps(value) for key, value in drawn.items()},
+            "model": drawn_model(flight.system, model.box, model.max_thrust, s.target.position_m),
             "gains": {"law": s.control.law, **{key: json.dumps(value) for key, value in gains.items()}},
         },
         [
@@ -276,6 +281,27 @@ def _recorder(flight: Flight, design: Design, options: Options) -> Recorder:
         ],
         s.epoch_s * 10**9,
     )
+
+
+def _model(flight: Flight) -> Model:
+    x, y, z = flight.scenario.payload.box_m
+    return Model(flight.system, (x, y, z), tuple(flight.airframe.max_thrust.tolist()))
+
+
+def drawn_model(
+    system: System, box_m: Sequence[float], max_thrust_N: Sequence[float], target_m: Sequence[float]
+) -> dict[str, str]:
+    """The `model` metadata record: what a replay needs to draw the system, each value as JSON."""
+    values = {
+        "n": len(system.m),
+        "n_links": system.n_links.tolist(),
+        "lengths_m": system.length.tolist(),
+        "attachments_m": system.rho.tolist(),
+        "box_m": list(box_m),
+        "max_thrust_N": list(max_thrust_N),
+        "target_m": list(target_m),
+    }
+    return {key: json.dumps(value) for key, value in values.items()}
 
 
 def _commit() -> str:

@@ -13,9 +13,9 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from cablequad import lie
 from cablequad.attitude import Airframe
 from cablequad.design import Design, DesignError, Weights, continuous_law, sampled_law
-from cablequad.stiffness import stable_substep
 from cablequad.linear import EquilibriumError
 from cablequad.state import State
+from cablequad.stiffness import STABLE, stable_substep
 from cablequad.system import Cable, Payload, Quadrotor, System, box_inertia
 
 
@@ -130,7 +130,7 @@ class ControlTable(_Table):
         period_ms = 1000.0 / self.rate_hz
         if abs(period_ms - round(period_ms)) > 1e-9 or round(period_ms) < 1:
             raise ValueError(
-                f"rate_hz: {self.rate_hz:g} given; the period must be whole milliseconds (1000, 500, 250, 200, 100, 50 ...)"
+                f"rate_hz: {self.rate_hz:g} given; the period must be whole milliseconds (1000, 500, 250, 200, 100 ...)"
             )
         return self
 
@@ -144,7 +144,9 @@ class PhysicsTable(_Table):
     def _whole_us(self) -> "PhysicsTable":
         period_us = 1e6 / self.rate_hz
         if abs(period_us - round(period_us)) > 1e-6 or round(period_us) < 1:
-            raise ValueError(f"rate_hz: {self.rate_hz:g} given; the step must be whole microseconds (1000, 2000, 5000 ...)")
+            raise ValueError(
+                f"rate_hz: {self.rate_hz:g} given; the step must be whole microseconds (1000, 2000, 5000 ...)"
+            )
         return self
 
 
@@ -165,7 +167,7 @@ class LinkTable(_Table):
     """[link]"""
 
     connect_timeout_s: Positive = 15.0
-    answer_timeout_s: Positive = 2.0
+    answer_timeout_s: Positive = 5.0
 
 
 class Scenario(_Table):
@@ -328,14 +330,18 @@ def _flight(s: Scenario, source: str) -> Flight:
     asked_us = round(1e6 / s.physics.rate_hz)
     physics_us = stable_substep(system, asked_us, tick_us)
     if physics_us != asked_us:
-        notes.append(
-            f"physics step {physics_us} us instead of {asked_us} us: the stiffest link mode needs it"
+        notes.append(f"physics step {physics_us} us instead of {asked_us} us: the stiffest link mode needs it")
+    fastest = float(airframe.bandwidth.max())
+    if fastest * physics_us * 1e-6 > STABLE:
+        raise ValueError(
+            f"attitude_bandwidth_rad_s: {fastest:g} given; with a physics step of {physics_us} us at most "
+            f"{STABLE / (physics_us * 1e-6):g} can be simulated"
         )
     return Flight(s, source, system, airframe, initial, control_us, physics_us, tick_us, notes)
 
 
 def _explain(error: ValidationError) -> str:
-    first = error.errors()[0]
+    first = min(error.errors(), key=lambda e: e["type"] != "extra_forbidden")  # a misspelt key explains a missing one
     key = ".".join(str(part) for part in first["loc"])
     more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
     kind, given = first["type"], first.get("input")

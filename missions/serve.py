@@ -19,7 +19,7 @@ def serve(flight: Flight, speed: float, host: str, port_offset: int) -> None:
     console = Console(highlight=False)
     stopped = threading.Event()
 
-    def stop(number: int, frame: FrameType | None) -> None:
+    def stop(_: int, __: FrameType | None) -> None:
         stopped.set()
 
     def sink(message: Truth | Event) -> None:
@@ -30,9 +30,7 @@ def serve(flight: Flight, speed: float, host: str, port_offset: int) -> None:
         console.print(note)
     lockstep = math.isinf(speed)
     server = Server(
-        settings(
-            flight, lockstep=lockstep, await_controller=False, speed=speed, port_offset=port_offset, host=host
-        ),
+        settings(flight, lockstep=lockstep, await_controller=False, speed=speed, port_offset=port_offset, host=host),
         sink,
     )
     signal.signal(signal.SIGINT, stop)

@@ -16,7 +16,9 @@ from sitl.server import Event, Report, Server, Settings
 START_S = 180.0  # the first start on a machine compiles the model
 
 
-def settings(flight: Flight, *, lockstep: bool, await_controller: bool, speed: float, port_offset: int, host: str) -> Settings:
+def settings(
+    flight: Flight, *, lockstep: bool, await_controller: bool, speed: float, port_offset: int, host: str
+) -> Settings:
     """The server's settings for a flight."""
     return Settings(
         system=flight.system,

@@ -90,7 +90,9 @@ def criteria(limits: AcceptanceTable, s: Summary) -> list[Criterion]:
             out.append(Criterion(name, limit, measured, measured is not None and measured <= limit))
     if limits.min_tension_N is not None:
         low = s.min_tension_N
-        out.append(Criterion("min_tension_N", limits.min_tension_N, low, low is not None and low >= limits.min_tension_N))
+        out.append(
+            Criterion("min_tension_N", limits.min_tension_N, low, low is not None and low >= limits.min_tension_N)
+        )
     return out
 
 
@@ -135,11 +137,10 @@ def summarize(
     reason = outcome.reason
     if outcome.completed and failed:
         reason = "; ".join(
-            f"{c.name} is {'not reached' if c.measured is None else f'{c.measured:.4g}'}, asked {c.limit:g}" for c in failed
+            f"{c.name} is {'not reached' if c.measured is None else f'{c.measured:.4g}'}, asked {c.limit:g}"
+            for c in failed
         )
-    return s._replace(
-        passed=outcome.completed and not failed, reason=reason, criteria=[c._asdict() for c in found]
-    )
+    return s._replace(passed=outcome.completed and not failed, reason=reason, criteria=[c._asdict() for c in found])
 
 
 def _jitter(intervals_s: list[float]) -> dict[str, float]:

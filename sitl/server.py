@@ -11,13 +11,15 @@ from typing import NamedTuple
 import numpy as np
 
 from bridge.link import Endpoint, Link, Received
-from bridge.wire.telemetry import Home, Snapshot
-from bridge.wire.values import IN_AIR, ON_GROUND, AttitudeTarget, Timesync
 from bridge.wire.messages import encode
+from bridge.wire.telemetry import BUILD, Home, Snapshot
+from bridge.wire.values import IN_AIR, ON_GROUND, AttitudeTarget, Timesync
 from cablequad.attitude import Airframe
 from cablequad.state import State
 from cablequad.system import System
+from cablequad.types import Array
 from sitl import tracker
+from sitl.firmware import hold
 from sitl.firmware.modes import Mode
 from sitl.firmware.px4 import ATTITUDE_QUATERNION, Px4
 from sitl.plant import Plant, Truth
@@ -104,6 +106,7 @@ class Server:
         self._missed_deadlines = 0
         self._lateness: list[float] = []
         self._pace_from: tuple[int, float] | None = None
+        self._warm_up()
 
     @property
     def now_us(self) -> int:
@@ -126,6 +129,27 @@ class Server:
         """Release the sockets."""
         self.link.close()
 
+    def _warm_up(self) -> None:
+        """Build every message once, so that nothing is compiled while the clock runs."""
+        truth = self.plant.truth(0, *self.plant.kinematics())
+        own = self._snapshots(0, truth.x, truth.v)[0]
+        for build in BUILD.values():
+            build(own)
+        tracker.high_rate(truth, self.settings.system.n_links)
+        tracker.low_rate(truth, self.settings.system.n_links)
+        hold.hold(own, hold.anchor(own, 10.0))
+
+    def _snapshots(self, now: int, x: Array, v: Array) -> list[Snapshot]:
+        """What every vehicle knows of itself, before its flight controller and its accelerometer add to it."""
+        R, Omega = self.plant.state.R, self.plant.state.Omega
+        none = np.zeros(3)
+        return [
+            Snapshot(
+                now, R[i], Omega[i], x[i], v[i], none, 0.0, False, ON_GROUND, (R[i], Omega[i], 0.0), self.settings.home
+            )
+            for i in range(self.n)
+        ]
+
     def _one_tick(self) -> None:
         s, now = self.settings, self.now_us
         for i, vehicle in enumerate(self.vehicles):
@@ -133,12 +157,7 @@ class Server:
             vehicle.tick(now)
         self._release_or_reset(now)
         x, v = self.plant.kinematics()
-        R, Omega = self.plant.state.R, self.plant.state.Omega
-        felt = np.zeros(3)
-        own = [
-            Snapshot(now, R[i], Omega[i], x[i], v[i], felt, 0.0, False, ON_GROUND, (R[i], Omega[i], 0.0), s.home)
-            for i in range(self.n)
-        ]
+        own = self._snapshots(now, x, v)
         self.plant.command([vehicle.actuation(own[i]) for i, vehicle in enumerate(self.vehicles)])
         truth = self.plant.truth(now, x, v)
         force = self.plant.specific_force(truth)
@@ -231,7 +250,9 @@ class Server:
         now_ms = self.now_us // 1000
         deadline = self.link.now() + self.settings.answer_timeout_s
         while not stop():
-            missing = [i for i in range(self.n) if self._engaged[i] and self._expected[i] and self._answered[i] != now_ms]
+            missing = [
+                i for i in range(self.n) if self._engaged[i] and self._expected[i] and self._answered[i] != now_ms
+            ]
             if not missing:
                 self._receive(0.0)
                 return
@@ -241,7 +262,9 @@ class Server:
                 for i in missing:
                     self._engaged[i] = False
                 names = ", ".join(str(i + 1) for i in missing)
-                self._sink(Event(self.now_us, "answer-missing", names, f"no setpoint for this tick from vehicle {names}"))
+                self._sink(
+                    Event(self.now_us, "answer-missing", names, f"no setpoint for this tick from vehicle {names}")
+                )
                 return
             self._receive(min(left, 0.1))
 

@@ -7,7 +7,9 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -73,10 +75,23 @@ def offset() -> int:
     return 200 + (os.getpid() % 40) * 400 + next(_given) * 10 % 400
 
 
+@pytest.fixture(autouse=True)
+def _nothing_left_running() -> Iterator[None]:
+    yield
+    for command in Command.started:
+        if command.process.poll() is None:
+            command.process.kill()
+            command.process.wait()
+    Command.started.clear()
+
+
 class Command:
-    """The `cablequad` command in a process of its own."""
+    """The `cablequad` command in a process of its own; killed at the end of the test that started it."""
+
+    started: ClassVar[list["Command"]] = []
 
     def __init__(self, *arguments: str, cwd: Path | None = None) -> None:
+        self.started.append(self)
         self.process = subprocess.Popen(
             [sys.executable, "-m", "missions.cli", *arguments],
             stdout=subprocess.PIPE,

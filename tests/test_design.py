@@ -40,7 +40,7 @@ def test_the_sampled_model_predicts_what_the_simulator_does() -> None:
     """One period of the nonlinear model with attitude loops, near hanging, against A_d z + B_d a."""
     rng = np.random.default_rng(0)
     design = sampled_law(PAPER, airframe(4), Weights(), 0.004, 0)
-    A, B = flown_model(PAPER, airframe(4), 0.004, 0)
+    _, B = flown_model(PAPER, airframe(4), 0.004, 0)
     a = 1e-3 * rng.normal(size=(4, 3))
     state = State.hanging(PAPER)
     force = design.u_star + a

@@ -48,7 +48,9 @@ def test_mechanical_power_equals_the_power_of_the_rotors(seed: int) -> None:
     n = len(system.m)
     command = Command(rng.uniform(2, 12, n), 0.05 * rng.normal(size=(n, 3)))
     h = 1e-5
-    rate = (energy(system, step(system, state, command, h)) - energy(system, step(system, state, command, -h))) / (2 * h)
+    rate = (energy(system, step(system, state, command, h)) - energy(system, step(system, state, command, -h))) / (
+        2 * h
+    )
     force = -command.thrust[:, None] * state.R[:, :, 2]
     power = np.sum(force * velocities(system, state)[:, 0]) + np.sum(command.moment * state.Omega)
     assert rate == pytest.approx(power, rel=1e-5, abs=1e-5)
@@ -64,7 +66,10 @@ def test_forces_change_linear_and_angular_momentum_as_newton_says(seed: int) -> 
     n = len(system.m)
     command = Command(rng.uniform(2, 12, n), 0.05 * rng.normal(size=(n, 3)))
     h = 1e-5
-    before, after = momentum(system, step(system, state, command, -h)), momentum(system, step(system, state, command, h))
+    before, after = (
+        momentum(system, step(system, state, command, -h)),
+        momentum(system, step(system, state, command, h)),
+    )
     x = positions(system, state)
     force = -command.thrust[:, None] * state.R[:, :, 2]
     weight = np.array([0.0, 0.0, system.g])

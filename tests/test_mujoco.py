@@ -20,19 +20,19 @@ def model_of(system: System) -> mujoco.MjModel:
     def v(*x: float) -> str:
         return " ".join(f"{float(a):.17g}" for a in x)
 
-    def point(name: str, mass: float, pos: str) -> str:
+    def point(mass: float, pos: str) -> str:
         return f'<inertial pos="{pos}" mass="{mass:.17g}" diaginertia="{POINT} {POINT} {POINT}"/>'
 
     chains = ""
     for i in range(len(system.m)):
         k = int(system.n_links[i])
-        tied = f'<body pos="{v(*system.rho[i])}">{point("t", float(system.m_tied[i]), "0 0 0")}'
+        tied = f'<body pos="{v(*system.rho[i])}">{point(float(system.m_tied[i]), "0 0 0")}'
         close = "</body>"
         at = "0 0 0"
         for j in range(k - 1, -1, -1):  # body frame of a link: z along q, origin at its payload end, node at -l z
             mass = system.m[i] if j == 0 else system.m_link[i, j - 1]
             far = v(0, 0, -system.length[i, j])
-            tied += f'<body name="b{i}_{j}" pos="{at}"><joint type="ball" name="j{i}_{j}"/>{point("n", float(mass), far)}'
+            tied += f'<body name="b{i}_{j}" pos="{at}"><joint type="ball" name="j{i}_{j}"/>{point(float(mass), far)}'
             close = "</body>" + close
             at = far
         chains += tied + close
@@ -93,7 +93,7 @@ def test_accelerations_agree_with_mujoco(system: System) -> None:
     worst = 0.0
     for _ in range(20):
         state = gentle(system, rng)
-        force = rng.normal(size=(len(system.m), 3)) + [0, 0, -9.0]
+        force = rng.normal((0.0, 0.0, -9.0), 1.0, (len(system.m), 3))
         set_state(system, model, data, state)
         apply_forces(system, model, data, force)
         mujoco.mj_forward(model, data)

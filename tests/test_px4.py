@@ -298,8 +298,8 @@ class TestParameters:
 
     def test_the_list_is_complete_and_numbered(self) -> None:
         values = self.ask(Bench(), ParamRequestList(1, 1), 20)
-        assert sorted(v.index for v in values) == list(range(values[0].count))
-        assert len({v.name for v in values}) == values[0].count
+        assert sorted(v.number for v in values) == list(range(values[0].total))
+        assert len({v.name for v in values}) == values[0].total
 
     def test_integers_read_as_their_bits(self) -> None:
         (value,) = self.ask(Bench(), ParamRequestRead(1, 1, "MAV_SYS_ID"))

@@ -159,7 +159,15 @@ class TestLink:
         good = self.frame(0)
         broken = bytearray(good)
         broken[12] ^= 0x40
-        for datagram in (b"", b"\xfd", b"\x00" * 300, bytes(broken), good[:-1], b"\xfd\xff" + good, bytes(broken) + good):
+        for datagram in (
+            b"",
+            b"\xfd",
+            b"\x00" * 300,
+            bytes(broken),
+            good[:-1],
+            b"\xfd\xff" + good,
+            bytes(broken) + good,
+        ):
             other.sendto(datagram, address)
         other.sendto(good, address)
         frames = []

@@ -195,7 +195,7 @@ def _read_set_mode(m: Message) -> SetMode:
 
 
 def _param_read(v: ParamRequestRead) -> Message:
-    return mavlink.MAVLink_param_request_read_message(v.system, v.component, v.name.encode(), v.index)
+    return mavlink.MAVLink_param_request_read_message(v.system, v.component, v.name.encode(), v.number)
 
 
 def _read_param_read(m: Message) -> ParamRequestRead:
@@ -219,7 +219,7 @@ def _read_param_set(m: Message) -> ParamSet:
 
 
 def _param_value(v: ParamValue) -> Message:
-    return mavlink.MAVLink_param_value_message(v.name.encode(), v.value, v.type, v.count, v.index)
+    return mavlink.MAVLink_param_value_message(v.name.encode(), v.value, v.type, v.total, v.number)
 
 
 def _read_param_value(m: Message) -> ParamValue:
@@ -272,7 +272,7 @@ def _read_mission_list(m: Message) -> MissionRequestList:
 
 
 def _mission_count(v: MissionCount) -> Message:
-    return mavlink.MAVLink_mission_count_message(v.system, v.component, v.count)
+    return mavlink.MAVLink_mission_count_message(v.system, v.component, v.total)
 
 
 def _read_mission_count(m: Message) -> MissionCount:

@@ -98,12 +98,12 @@ class SetMode(NamedTuple):
 
 
 class ParamRequestRead(NamedTuple):
-    """PARAM_REQUEST_READ (#20); index -1 asks by name."""
+    """PARAM_REQUEST_READ (#20); number -1 asks by name."""
 
     system: int
     component: int
     name: str
-    index: int = -1
+    number: int = -1
 
 
 class ParamRequestList(NamedTuple):
@@ -129,8 +129,8 @@ class ParamValue(NamedTuple):
     name: str
     value: float
     type: int
-    count: int
-    index: int
+    total: int
+    number: int  # place in the list, from 0
 
 
 class Timesync(NamedTuple):
@@ -176,7 +176,7 @@ class MissionCount(NamedTuple):
 
     system: int
     component: int
-    count: int
+    total: int
 
 
 class ServerVersion(NamedTuple):

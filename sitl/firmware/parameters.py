@@ -41,8 +41,8 @@ class Parameters:
 
     def read(self, request: ParamRequestRead) -> ParamValue | None:
         """The answer to a request by index or name; None, as firmware stays silent, for one it does not have."""
-        if request.index >= 0:
-            return self.report(request.index) if request.index < len(self._names) else None
+        if request.number >= 0:
+            return self.report(request.number) if request.number < len(self._names) else None
         return self.report(self._names.index(request.name)) if request.name in self._table else None
 
     def write(self, request: ParamSet) -> ParamValue | None:

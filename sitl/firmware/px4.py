@@ -70,10 +70,10 @@ class Actuation(NamedTuple):
 
 
 class Outgoing(NamedTuple):
-    """A message for one of the vehicle's links; None means all of them. A number is built from the tick's snapshot."""
+    """A message for one of the vehicle's links; None means all of them."""
 
     link: int | None
-    message: Message | int
+    message: Message
 
 
 class Px4:
@@ -95,6 +95,7 @@ class Px4:
         self._next_heartbeat_us = 0
         self._anchor: hold.Anchor | None = None
         self._outbox: list[Outgoing] = []
+        self._asked_for: list[tuple[int | None, int]] = []  # (link, message id) to build from the tick's snapshot
         self._param_queue: list[tuple[int, int]] = []
         self._warned = ""
         self._texts_said = 0
@@ -175,7 +176,7 @@ class Px4:
                 self._reply(link, ServerVersion(0xE8FF, (1, 16, 0), self.system_id))
             elif msgid in BUILD:
                 ack(ACCEPTED)
-                self._outbox.append(Outgoing(link, msgid))
+                self._asked_for.append((link, msgid))
             else:
                 ack(DENIED)
         else:
@@ -234,7 +235,7 @@ class Px4:
         if landed != self.landed:
             self.landed = landed
             self._text(modes.INFO, "Takeoff detected" if landed == IN_AIR else "Landing detected")
-            self._outbox.append(Outgoing(None, M.MAVLINK_MSG_ID_EXTENDED_SYS_STATE))
+            self._asked_for.append((None, M.MAVLINK_MSG_ID_EXTENDED_SYS_STATE))
 
     def snapshot(self, s: Snapshot) -> Snapshot:
         """`s` with what only the flight controller knows."""
@@ -248,8 +249,8 @@ class Px4:
         Links that are not `audible` (nobody there yet) get no streams.
         """
         now_us = s.boot_us
-        out = [o if not isinstance(o.message, int) else Outgoing(o.link, BUILD[o.message](s)) for o in self._outbox]
-        self._outbox = []
+        out = self._outbox + [Outgoing(link, BUILD[msgid](s)) for link, msgid in self._asked_for]
+        self._outbox, self._asked_for = [], []
         if now_us >= self._next_heartbeat_us:
             self._next_heartbeat_us += HEARTBEAT_US * (1 + (now_us - self._next_heartbeat_us) // HEARTBEAT_US)
             out.append(Outgoing(None, encode(self._heartbeat(now_us))))

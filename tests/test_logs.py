@@ -1,0 +1,248 @@
+"""The record: whole, cut short, on a full disk; and what it is turned into."""
+
+import errno
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from bridge.link import Sent
+from cablequad.attitude import Airframe
+from cablequad.design import Weights, sampled_law
+from cablequad.pilot import Measurement, Reference, first_memory, tick
+from cablequad.state import State, positions
+from cablequad.system import System
+from logs import recorder as recorders
+from logs.encode import Model, Motion
+from logs.reader import LogError, entries, is_complete, read
+from logs.recorder import Attachment, Recorder, RecorderError
+from logs.schema import generate
+from missions.run import drawn_model
+
+SYSTEM = System.paper(1)
+MODEL = Model(SYSTEM, (0.6, 0.8, 0.2), (25.0,) * 4)
+AIRFRAME = Airframe(np.full(4, 40.0), np.full(4, 0.9), np.full(4, 25.0))
+DESIGN = sampled_law(SYSTEM, AIRFRAME, Weights(), 0.004, 1)
+
+
+def motion(x: float) -> Motion:
+    s = State.hanging(SYSTEM, (x, 0.0, 0.0))
+    rng = np.random.default_rng(round(1000 * x))
+    return Motion(s, positions(SYSTEM, s)[:, 0], np.zeros((4, 3)), rng.normal(size=(4, 5)), rng.uniform(5, 9, 4))
+
+
+def write(path: Path, ticks: int, epoch_ns: int = recorders.EPOCH_NS) -> Recorder:
+    """A recorder that has been given `ticks` instants of everything."""
+    out = Recorder(
+        path, MODEL, {"run": {"seed": "1"}, "model": drawn_model(SYSTEM, MODEL.box, MODEL.max_thrust, (0.0, 0.0, 0.0))},
+        [Attachment("scenario.toml", "application/toml", b"name = 'x'")], epoch_ns,
+    )  # fmt: skip
+    memory = first_memory(DESIGN)
+    out.event(0, "release", "all", "t = 0")
+    for k in range(ticks):
+        us = 4000 * k
+        m = motion(0.001 * k)
+        memory, sample = tick(memory, Measurement(us * 1e-6, m.state), Reference(np.zeros(3), np.zeros(3)), DESIGN)
+        out.truth(us, False, m)
+        out.decided(us, sample, [1.0] * 4, True)
+        out.sent(us, Sent(250, 191, k & 255, 82, "SET_ATTITUDE_TARGET", bytes([k & 255] * 40)), 1)
+        if k % 250 == 0:
+            out.perf(us, 1e-4, k)
+    return out
+
+
+def test_what_went_in_comes_out(tmp_path: Path) -> None:
+    out = write(tmp_path / "a.mcap", 300)
+    out.metadata("result", {"passed": "true"})
+    path = out.finish()
+    assert out.error is None
+    assert not (tmp_path / "a.mcap.part").exists()
+    run = read(path)
+    assert run.complete
+    assert run.metadata["result"] == {"passed": "true"}
+    assert run.attachments["scenario.toml"] == b"name = 'x'"
+    plant = run.columns["/plant/state"]
+    assert plant["link_direction"].shape == (300, 60)
+    for k in (0, 137, 299):
+        np.testing.assert_array_equal(plant["tension"][k], motion(0.001 * k).tension.ravel())
+        np.testing.assert_array_equal(plant["thrust"][k], motion(0.001 * k).thrust)
+    assert run.columns["/control/state"]["Psi"].shape == (300, 4)
+    assert run.events[0].kind == "release"
+
+
+def test_the_mcap_librarys_own_reader_takes_it_and_finds_every_topic(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.mcap", 50).finish()
+    with open(path, "rb") as file:
+        summary = make_reader(file, validate_crcs=True).get_summary()
+        assert summary is not None
+        topics = {channel.topic for channel in summary.channels.values()}
+        assert sum(1 for _ in make_reader(file, validate_crcs=True).iter_messages()) > 200
+    assert topics == {
+        "/plant/state", "/control/state", "/control/reference", "/tf", "/scene", "/log", "/event", "/perf", "/mavlink/quad1/tx",
+    }  # fmt: skip
+
+
+def test_log_time_is_the_epoch_plus_the_vehicles_clock(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.mcap", 10, epoch_ns=5 * 10**18).finish()
+    times = [e.log_time for e in entries(path) if e.topic == "/plant/state"]
+    assert times == [5 * 10**18 + 4_000_000 * k for k in range(10)]
+
+
+def test_frames_for_viewers_have_one_parent_each(tmp_path: Path) -> None:
+    from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+
+    path = write(tmp_path / "a.mcap", 30).finish()
+    parents: dict[str, set[str]] = {}
+    for entry in entries(path):
+        if entry.topic == "/tf":
+            for t in FrameTransforms.FromString(entry.data).transforms:
+                parents.setdefault(t.child_frame_id, set()).add(t.parent_frame_id)
+                assert t.HasField("translation")
+                assert t.HasField("rotation")
+    assert all(len(p) == 1 for p in parents.values())
+    assert len(parents) == 1 + 1 + 4 + 20
+    assert parents["world_ned"] == {"map_enu"}
+
+
+def test_a_log_cut_anywhere_still_reads(tmp_path: Path) -> None:
+    data = write(tmp_path / "a.mcap", 400).finish().read_bytes()
+    cut = tmp_path / "cut.mcap"
+    seen = []
+    for size in range(1024, len(data), max(1024, len(data) // 40)):
+        cut.write_bytes(data[:size])
+        run = read(cut)
+        assert not run.complete
+        seen.append(len(run.columns.get("/plant/state", {}).get("step", ())))
+    assert seen == sorted(seen)
+    assert seen[-1] > 0
+
+
+def test_a_process_that_is_killed_leaves_all_but_the_last_half_second(tmp_path: Path) -> None:
+    code = f"""
+import sys, time; sys.path.insert(0, {str(Path(__file__).parent)!r})
+from pathlib import Path
+from test_logs import *
+out = write(Path({str(tmp_path / "k.mcap")!r}), 200)
+print("written", flush=True)
+time.sleep(1.2)
+out.event(9_000_000, "late", "x", "y")
+print("late", flush=True)
+time.sleep(60)
+"""
+    child = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    assert child.stdout is not None
+    assert child.stdout.readline() == "written\n"
+    assert child.stdout.readline() == "late\n"
+    child.kill()
+    child.wait()
+    run = read(tmp_path / "k.mcap.part")
+    assert not run.complete
+    assert len(run.columns["/plant/state"]["step"]) == 200
+
+
+def test_a_full_disk_ends_the_recording_with_a_line_and_keeps_what_was_flushed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recorders, "FLUSH_S", 0.05)
+
+    class Full:
+        """A file on a disk that fills up."""
+
+        def __init__(self, file: Any) -> None:
+            self.file, self.left = file, 120_000
+
+        def write(self, data: bytes) -> int:
+            self.left -= len(data)
+            if self.left < 0:
+                raise OSError(errno.ENOSPC, "No space left on device")
+            return int(self.file.write(data))
+
+        def __getattr__(self, name: str) -> Any:
+            return getattr(self.file, name)
+
+    real = open
+    monkeypatch.setattr("builtins.open", lambda p, m="r", **k: Full(real(p, m, **k)) if m == "xb" else real(p, m, **k))
+    out = write(tmp_path / "full.mcap", 40)
+    for k in range(40):
+        time.sleep(0.01)
+        for _ in range(20):
+            out.truth(10**6 + 4000 * k, False, motion(0.5))
+            out.sent(10**6, Sent(1, 1, 1, 1, "X", np.random.default_rng(k).bytes(2000)), 1)
+    path = out.finish()
+    assert out.error is not None
+    assert "No space left on device" in out.error
+    run = read(path)
+    assert not run.complete
+    assert len(run.columns["/plant/state"]["step"]) >= 40
+
+
+def test_two_recorders_never_write_one_file(tmp_path: Path) -> None:
+    first = write(tmp_path / "a.mcap", 2)
+    with pytest.raises(RecorderError, match="another recorder writes it"):
+        write(tmp_path / "a.mcap", 2)
+    first.finish()
+    with pytest.raises(RecorderError, match="exists already"):
+        write(tmp_path / "a.mcap", 2)
+    with pytest.raises(RecorderError, match="choose another folder"):
+        write(tmp_path / "nowhere" / "a.mcap", 2)
+
+
+@pytest.mark.parametrize("content", [b"", b"not a log at all, but long enough to try", None])
+def test_what_is_no_log_is_refused_in_one_line(tmp_path: Path, content: bytes | None) -> None:
+    path = tmp_path / "x.mcap"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(LogError, match=r"x\.mcap"):
+        read(path)
+    assert not is_complete(path)
+
+
+def test_the_generated_schema_module_is_current(tmp_path: Path) -> None:
+    generate.generate(tmp_path)
+    committed = Path(generate.__file__).parent / "cablequad_pb2.pyi"
+    assert (tmp_path / "cablequad_pb2.pyi").read_text() == committed.read_text()
+
+
+def test_a_replay_passes_reruns_own_verification(tmp_path: Path) -> None:
+    from logs import replay
+
+    target = tmp_path / "a.rrd"
+    replay.save(read(write(tmp_path / "a.mcap", 300).finish()), target)
+    rerun = Path(sys.executable).parent / "rerun"
+    done = subprocess.run([rerun, "rrd", "verify", target], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_a_log_without_a_simulators_truth_is_replayed_from_what_was_measured(tmp_path: Path) -> None:
+    from logs import replay
+
+    out = Recorder(
+        tmp_path / "m.mcap", MODEL, {"model": drawn_model(SYSTEM, MODEL.box, MODEL.max_thrust, (0.0, 0.0, 0.0))}
+    )
+    memory = first_memory(DESIGN)
+    for k in range(100):
+        state = State.hanging(SYSTEM, (0.01 * k, 0.0, 0.0))
+        memory, sample = tick(memory, Measurement(0.0, state), Reference(np.zeros(3), np.zeros(3)), DESIGN)
+        out.decided(4000 * k, sample, [1.0] * 4, True)
+    run = read(out.finish())
+    m = replay.motion_of(run)
+    np.testing.assert_allclose(m.quads[-1], positions(SYSTEM, State.hanging(SYSTEM, tuple(m.x0[-1])))[:, 0], atol=1e-12)
+    replay.save(run, tmp_path / "m.rrd")
+
+
+def test_the_queue_takes_a_record_quickly_while_the_writer_works(tmp_path: Path) -> None:
+    """The loop pays for a put, never for a chunk: the median put is far under the 4-6 ms a chunk costs inline."""
+    out = write(tmp_path / "q.mcap", 10)
+    m = motion(0.1)
+    costs = []
+    for k in range(500):
+        begun = time.perf_counter()
+        out.truth(10**6 + 4000 * k, False, m)
+        costs.append(time.perf_counter() - begun)
+    out.finish()
+    assert np.median(costs) < 1e-3
