@@ -22,6 +22,18 @@ RECEIVE_BUFFER = 4 << 20  # bytes; the system's default holds 256 small datagram
 _checksum = fastcrc.crc16.mcrf4xx
 
 
+TRACKER_PORTS = (14600, 14640)  # where the controller listens, where the payload tracker does
+GROUND_PORT, LISTEN_PORT = 14550, 14555
+
+
+def vehicle_ports(i: int) -> tuple[int, int]:
+    """Where the controller listens for vehicle i (from 0), and where that vehicle does: PX4's numbers.
+
+    From the eleventh on they move up, as 14550 and 14600 are taken.
+    """
+    return (14540 + i, 14580 + i) if i < 10 else (15540 + i, 16580 + i)
+
+
 class LinkError(Exception):
     """An address that cannot be used; the message says which and what to do."""
 

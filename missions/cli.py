@@ -110,8 +110,10 @@ def sitl(
 def replay(
     run: Annotated[Path, typer.Argument(help="The .mcap log of a run, whole or truncated.")],
     save: Annotated[Path | None, typer.Option(help="Write the replay here instead of opening the viewer.")] = None,
+    screenshot: Annotated[Path | None, typer.Option(help="Save a picture here instead, without a screen.")] = None,
+    at: Annotated[float, typer.Option(help="Time of the picture, in seconds since the release.")] = 0.0,
 ) -> None:
-    """Open a run in Rerun, or save it as an .rrd."""
+    """Open a run in Rerun, save it as an .rrd, or save a picture of it."""
     import subprocess
     import tempfile
 
@@ -129,6 +131,15 @@ def replay(
         _fail(str(error))
     if not loaded.complete:
         print(f"cablequad: {run}: the log is cut short; replaying what it holds", file=sys.stderr)
+    if screenshot is not None:
+        from logs.screenshot import screenshots
+
+        try:
+            screenshots(target, {at: screenshot})
+        except LogError as error:
+            _fail(str(error))
+        print(screenshot)
+        return
     if save is not None:
         print(target)
         return

@@ -1,5 +1,6 @@
 """One flight: vehicles (ours, or what is there), bridge and log put together."""
 
+import gc
 import json
 import math
 import platform
@@ -18,7 +19,7 @@ import numpy as np
 
 from bridge.fleet import Fleet
 from bridge.fly import Outcome, Plan, Timing, fly
-from bridge.link import Endpoint, Link, LinkError, Received, Sent
+from bridge.link import TRACKER_PORTS, Endpoint, Link, LinkError, Received, Sent, vehicle_ports
 from bridge.wire.messages import attitude_target, decode
 from bridge.wire.messages import encode as encode_message
 from bridge.wire.values import PayloadState, VehicleAttitude
@@ -132,6 +133,8 @@ def _run(flight: Flight, design: Design, options: Options, progress: Progress) -
             progress.say("starting the vehicles (the first start on a machine compiles the model: about half a minute)")
         _warm_up(design, flight, _model(flight))
         sys.setswitchinterval(SWITCH_S)
+        gc.collect()
+        gc.freeze()  # what is loaded by now need not be looked through again in mid-flight
         with _interrupts() as interrupted:
             if simulator is not None and not simulator.wait_ready(lambda: not interrupted()):
                 outcome = Outcome(False, interrupted(), simulator.failure or "interrupted by the user")
@@ -156,6 +159,7 @@ def _run(flight: Flight, design: Design, options: Options, progress: Progress) -
         return summary._replace(log=str(path)), outcome.interrupted
     finally:
         sys.setswitchinterval(before)
+        gc.unfreeze()
         if simulator is not None:
             simulator.stop()
         link.close()
@@ -198,7 +202,7 @@ def _fly(
 def _endpoints(n: int, options: Options) -> list[Endpoint]:
     if options.connect:
         return list(options.connect)
-    ports = [14540 + i for i in range(n)] + [14600]
+    ports = [*(vehicle_ports(i)[0] for i in range(n)), TRACKER_PORTS[0]]
     return [Endpoint((HOST, port + options.port_offset), None) for port in ports]
 
 

@@ -1,5 +1,6 @@
 """The simulator as a process of its own: vehicles on their ports, truth into a one-way channel."""
 
+import gc
 import multiprocessing
 import os
 import signal
@@ -52,6 +53,8 @@ def _child(values: Settings, channel: Connection) -> None:
         put(channel, Failure(str(error)))
         return
     try:
+        gc.collect()
+        gc.freeze()  # what is loaded by now need not be looked through again while the clock runs
         put(channel, Ready())
         report = server.run(lambda: stopped.is_set() or os.getppid() != parent)
         put(channel, report)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bridge.link import Endpoint, Link, Received
+from bridge.link import GROUND_PORT, LISTEN_PORT, TRACKER_PORTS, Endpoint, Link, Received, vehicle_ports
 from bridge.wire.messages import encode
 from bridge.wire.telemetry import BUILD, Home, Snapshot
 from bridge.wire.values import IN_AIR, ON_GROUND, AttitudeTarget, Timesync
@@ -71,16 +71,18 @@ Sink = Callable[[Truth | Event], None]
 
 
 def endpoints(n: int, offset: int, host: str) -> list[Endpoint]:
-    """Onboard links (PX4's 14580+i -> 14540+i), ground station links (18570+i -> 14550), 14555 for clients that speak
-    first, the tracker (14640 -> 14600) and its ground station link."""
-    onboard = [Endpoint((host, 14580 + i + offset), (host, 14540 + i + offset)) for i in range(n)]
-    ground = [Endpoint((host, 18570 + i + offset), (host, 14550 + offset)) for i in range(n)]
-    listen = Endpoint((host, 14555 + offset), None)
-    load = [
-        Endpoint((host, 14640 + offset), (host, 14600 + offset)),
-        Endpoint((host, 18640 + offset), (host, 14550 + offset)),
-    ]
-    return [*onboard, *ground, listen, *load]
+    """Every port of n vehicles and their payload tracker.
+
+    Onboard links and ground station links (PX4's 14580+i -> 14540+i and 18570+i -> 14550), 14555 for clients that speak
+    first, the tracker (14640 -> 14600) and its ground station link.
+    """
+
+    def end(here: int, there: int | None) -> Endpoint:
+        return Endpoint((host, here + offset), None if there is None else (host, there + offset))
+
+    onboard = [end(vehicle_ports(i)[1], vehicle_ports(i)[0]) for i in range(n)]
+    ground = [end(18570 + i, GROUND_PORT) for i in range(n)]
+    return [*onboard, *ground, end(LISTEN_PORT, None), end(TRACKER_PORTS[1], TRACKER_PORTS[0]), end(18540, GROUND_PORT)]
 
 
 class Server:

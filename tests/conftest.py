@@ -69,10 +69,15 @@ def rng() -> np.random.Generator:
 _given = itertools.count()
 
 
+def next_offset() -> int:
+    """A port offset that no flight of this process has had, well away from everyone's defaults."""
+    return 6000 + (os.getpid() % 8) * 1000 + next(_given) * 7 % 40 * 4
+
+
 @pytest.fixture
 def offset() -> int:
-    """A port offset that no other test of this process has, apart from those of other processes."""
-    return 200 + (os.getpid() % 40) * 400 + next(_given) * 10 % 400
+    """A port offset of this test's own."""
+    return next_offset()
 
 
 @pytest.fixture(autouse=True)

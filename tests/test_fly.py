@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import Command, cablequad, flown, wait_for_line
+from conftest import Command, cablequad, flown, next_offset, wait_for_line
 from mcap.reader import make_reader
 
 from bridge.wire.dialect import mavlink
@@ -26,7 +26,7 @@ TARGET = np.array([0.44, 0.78, -0.5])
 @pytest.fixture(scope="module")
 def case_1(tmp_path_factory: pytest.TempPathFactory) -> dict:
     """The README's flight, once."""
-    return flown("--out", str(tmp_path_factory.mktemp("case1")), "--port-offset", "100")
+    return flown("--out", str(tmp_path_factory.mktemp("case1")), "--port-offset", str(next_offset()))
 
 
 def test_case_1_arrives_within_the_asked_bounds(case_1: dict) -> None:
