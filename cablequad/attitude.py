@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from cablequad import lie
-from cablequad._jit import jit
+from cablequad._jit import inlined, jit
 from cablequad.integrate import Command, Scratch, advance, scratch
 from cablequad.state import State
 from cablequad.system import System
@@ -41,21 +41,37 @@ class Setpoint(NamedTuple):
         return cls(R_c, np.zeros((n, 3)), thrust, np.zeros(n, dtype=np.bool_))
 
 
-@jit
+@inlined
 def moments(system: System, airframe: Airframe, setpoint: Setpoint, state: State, command: Command) -> None:
     """Write the loops' moments (n, 3) N m and the limited thrusts (n,) N into `command`."""
     for i in range(system.m.shape[0]):
-        R, O, J = state.R[i], state.Omega[i], system.J[i]
-        w = airframe.bandwidth[i]
-        if setpoint.rate_only[i]:
-            error = np.zeros(3)
-            rate = O - setpoint.Omega_c[i]
-        else:
-            relative = np.ascontiguousarray(setpoint.R_c[i].T) @ R
-            error = lie.log(relative)
-            rate = O - np.ascontiguousarray(relative.T) @ setpoint.Omega_c[i]
-        wanted = -w * w * error - 2.0 * airframe.damping[i] * w * rate
-        command.moment[i] = J @ wanted + lie.cross(O, J @ O)
+        O = (state.Omega[i, 0], state.Omega[i, 1], state.Omega[i, 2])
+        O_c = (setpoint.Omega_c[i, 0], setpoint.Omega_c[i, 1], setpoint.Omega_c[i, 2])
+        w, damping = airframe.bandwidth[i], 2.0 * airframe.damping[i] * airframe.bandwidth[i]
+        error = (0.0, 0.0, 0.0)
+        if not setpoint.rate_only[i]:
+            r = lie.relative(setpoint.R_c[i], state.R[i])  # R_c'R
+            error = lie.log_of_rows(r)
+            O_c = (
+                r[0][0] * O_c[0] + r[1][0] * O_c[1] + r[2][0] * O_c[2],
+                r[0][1] * O_c[0] + r[1][1] * O_c[1] + r[2][1] * O_c[2],
+                r[0][2] * O_c[0] + r[1][2] * O_c[1] + r[2][2] * O_c[2],
+            )
+        wanted = (
+            -w * w * error[0] - damping * (O[0] - O_c[0]),
+            -w * w * error[1] - damping * (O[1] - O_c[1]),
+            -w * w * error[2] - damping * (O[2] - O_c[2]),
+        )
+        J = system.J[i]
+        h = (
+            J[0, 0] * O[0] + J[0, 1] * O[1] + J[0, 2] * O[2],
+            J[1, 0] * O[0] + J[1, 1] * O[1] + J[1, 2] * O[2],
+            J[2, 0] * O[0] + J[2, 1] * O[1] + J[2, 2] * O[2],
+        )
+        gyroscopic = lie.cross_triple(O, h)
+        for a in range(3):
+            turn = J[a, 0] * wanted[0] + J[a, 1] * wanted[1] + J[a, 2] * wanted[2]
+            command.moment[i, a] = turn + gyroscopic[a]
         command.thrust[i] = min(max(setpoint.thrust[i], 0.0), airframe.max_thrust[i])
 
 

@@ -116,22 +116,52 @@ def orthonormalize(R: Array) -> None:
         R[r, 2] = 1.5 * c - 0.5 * (a * s02 + b * s12 + c * s22)
 
 
+@inlined
+def relative(A: Array, B: Array) -> tuple[Triple, Triple, Triple]:
+    """The rows of A'B for rotations A, B (3, 3)."""
+    a00, a01, a02 = A[0, 0], A[0, 1], A[0, 2]
+    a10, a11, a12 = A[1, 0], A[1, 1], A[1, 2]
+    a20, a21, a22 = A[2, 0], A[2, 1], A[2, 2]
+    b0, b1, b2 = (B[0, 0], B[0, 1], B[0, 2]), (B[1, 0], B[1, 1], B[1, 2]), (B[2, 0], B[2, 1], B[2, 2])
+    return (
+        (a00 * b0[0] + a10 * b1[0] + a20 * b2[0], a00 * b0[1] + a10 * b1[1] + a20 * b2[1], a00 * b0[2] + a10 * b1[2] + a20 * b2[2]),
+        (a01 * b0[0] + a11 * b1[0] + a21 * b2[0], a01 * b0[1] + a11 * b1[1] + a21 * b2[1], a01 * b0[2] + a11 * b1[2] + a21 * b2[2]),
+        (a02 * b0[0] + a12 * b1[0] + a22 * b2[0], a02 * b0[1] + a12 * b1[1] + a22 * b2[1], a02 * b0[2] + a12 * b1[2] + a22 * b2[2]),
+    )  # fmt: skip
+
+
 @jit
-def quat_from_rotation(R: Array) -> Array:
-    """The unit quaternion (w, x, y, z) of R with w >= 0, by the largest of the four squares (no cancellation)."""
-    r00, r11, r22 = R[0, 0], R[1, 1], R[2, 2]
+def quat_of_rows(r: tuple[Triple, Triple, Triple]) -> tuple[float, float, float, float]:
+    """The unit quaternion (w, x, y, z), w >= 0, of a rotation's rows, by the largest of the four squares."""
+    r00, r11, r22 = r[0][0], r[1][1], r[2][2]
     trace = r00 + r11 + r22
     if trace >= max(r00, r11, r22):
-        w, x, y, z = 1.0 + trace, R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
+        w, x, y, z = 1.0 + trace, r[2][1] - r[1][2], r[0][2] - r[2][0], r[1][0] - r[0][1]
     elif r00 >= max(r11, r22):
-        w, x, y, z = R[2, 1] - R[1, 2], 1.0 + 2.0 * r00 - trace, R[0, 1] + R[1, 0], R[0, 2] + R[2, 0]
+        w, x, y, z = r[2][1] - r[1][2], 1.0 + 2.0 * r00 - trace, r[0][1] + r[1][0], r[0][2] + r[2][0]
     elif r11 >= r22:
-        w, x, y, z = R[0, 2] - R[2, 0], R[0, 1] + R[1, 0], 1.0 + 2.0 * r11 - trace, R[1, 2] + R[2, 1]
+        w, x, y, z = r[0][2] - r[2][0], r[0][1] + r[1][0], 1.0 + 2.0 * r11 - trace, r[1][2] + r[2][1]
     else:
-        w, x, y, z = R[1, 0] - R[0, 1], R[0, 2] + R[2, 0], R[1, 2] + R[2, 1], 1.0 + 2.0 * r22 - trace
+        w, x, y, z = r[1][0] - r[0][1], r[0][2] + r[2][0], r[1][2] + r[2][1], 1.0 + 2.0 * r22 - trace
     norm = math.sqrt(w * w + x * x + y * y + z * z)
     scale = 1.0 / (norm if w >= 0.0 else -norm)
-    return np.array([w * scale, x * scale, y * scale, z * scale])
+    return w * scale, x * scale, y * scale, z * scale
+
+
+@jit
+def log_of_rows(r: tuple[Triple, Triple, Triple]) -> Triple:
+    """The rotation vector, |xi| <= pi, through the quaternion: accurate at 0 and near pi alike."""
+    w, x, y, z = quat_of_rows(r)
+    sin_half = math.sqrt(x * x + y * y + z * z)
+    scale = 2.0 if sin_half < 1e-8 else 2.0 * math.atan2(sin_half, w) / sin_half
+    return scale * x, scale * y, scale * z
+
+
+@jit
+def quat_from_rotation(R: Array) -> Array:
+    """The unit quaternion (w, x, y, z) of R with w >= 0."""
+    rows = (R[0, 0], R[0, 1], R[0, 2]), (R[1, 0], R[1, 1], R[1, 2]), (R[2, 0], R[2, 1], R[2, 2])
+    return np.array(quat_of_rows(rows))
 
 
 @jit
@@ -150,12 +180,8 @@ def rotation_from_quat(quat_wxyz: Array) -> Array:
 
 @jit
 def log(R: Array) -> Array:
-    """The rotation vector of R, |xi| <= pi, through the quaternion: accurate at 0 and near pi alike."""
-    quat = quat_from_rotation(R)
-    sin_half = math.sqrt(quat[1] ** 2 + quat[2] ** 2 + quat[3] ** 2)
-    if sin_half < 1e-8:
-        return 2.0 * quat[1:]
-    return (2.0 * math.atan2(sin_half, quat[0]) / sin_half) * quat[1:]
+    """The rotation vector of R, (3,), |xi| <= pi."""
+    return np.array(log_of_rows(((R[0, 0], R[0, 1], R[0, 2]), (R[1, 0], R[1, 1], R[1, 2]), (R[2, 0], R[2, 1], R[2, 2]))))
 
 
 @jit

@@ -59,17 +59,44 @@ def first_memory(design: Design) -> Memory:
 def tick(memory: Memory, measurement: Measurement, reference: Reference, design: Design) -> tuple[Memory, Sample]:
     """The setpoints that answer `measurement`. Non-finite measurements give non-finite commands: callers must check."""
     s = measurement.state
-    target = design.hanging._replace(x0=reference.x0, v0=reference.v0)
-    error = local(design.system, target, s)
+    d = _decide(memory, s, reference, design)
+    sample = Sample(
+        measurement.t, s, reference, memory, d.error, d.A, d.R_c, d.f, d.Psi_0, d.Psi, d.e_q, d.e_omega
+    )
+    return Memory(d.R_c, d.under_way), sample
+
+
+class _Decision(NamedTuple):
+    """What the compiled part of a tick gives; fields as in Sample and Memory."""
+
+    error: Error
+    A: Array
+    R_c: Array
+    f: Array
+    Psi_0: float
+    Psi: Array
+    e_q: float
+    e_omega: float
+    under_way: Array
+
+
+@jit
+def _decide(memory: Memory, s: State, reference: Reference, design: Design) -> _Decision:
+    hanging, system = design.hanging, design.system
+    target = State(
+        reference.x0, reference.v0, hanging.R0, hanging.Omega0, hanging.q, hanging.omega, hanging.R, hanging.Omega
+    )
+    error = local(system, target, s)
     phi, phi_dot = _horizontal_forces(s.R, s.Omega, design.u_star)
     a = design.K_x @ error.x + design.K_xdot @ error.x_dot + design.K_phi @ phi + design.K_phidot @ phi_dot
     a += design.K_way @ memory.under_way.ravel()
-    A = design.u_star - a.reshape(-1, 3)
+    A = design.u_star - a.reshape(design.u_star.shape)
     R_c, f, Psi = _commands(A, s.R, design.b1, memory.R_c, design.max_thrust)
-    e_q, e_omega, Psi_0 = _link_errors(design.system.n_links, s.q, s.omega, s.R0)
-    sample = Sample(measurement.t, s, reference, memory, error, A, R_c, f, Psi_0, Psi, e_q, e_omega)
-    under_way = np.concatenate([(A - design.u_star)[None], memory.under_way])[: len(memory.under_way)]
-    return Memory(R_c, under_way), sample
+    under_way = np.empty_like(memory.under_way)
+    for k in range(len(under_way)):
+        under_way[k] = memory.under_way[k - 1] if k > 0 else -a.reshape(design.u_star.shape)
+    e_q, e_omega, Psi_0 = _link_errors(system.n_links, s.q, s.omega, s.R0)
+    return _Decision(error, A, R_c, f, Psi_0, Psi, e_q, e_omega, under_way)
 
 
 @jit

@@ -13,6 +13,9 @@ from cablequad.state import State
 from cablequad.types import Array
 
 
+HELD_TICKS = 200
+
+
 class Timing(NamedTuple):
     """The rates of a sampled loop."""
 
@@ -31,14 +34,16 @@ def rollout(
 ) -> Iterator[Sample]:
     """The samples of ticks 0 .. `ticks`, the state stepped between them by the design's own model.
 
-    Before the release the pilot already answers the initial state, so the commands under way at t = 0 are its answer
-    to that state.
+    Before the release the pilot already answers the initial state, for long enough that its commands under way at t = 0
+    are steady.
     """
     system = design.system
     h = timing.period / timing.steps
     state = initial.copy()
     work = scratch(system, state)
     memory, sample = tick(first_memory(design), Measurement(0.0, initial), plan(0.0), design)
+    for _ in range(HELD_TICKS):
+        memory, sample = tick(memory, Measurement(0.0, initial), plan(0.0), design)
     under_way = [Setpoint.attitude(sample.R_c, sample.f)] * timing.delay
     for k in range(ticks + 1):
         t = k * timing.period
