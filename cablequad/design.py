@@ -12,7 +12,7 @@ import numpy as np
 from scipy import linalg
 
 from cablequad.attitude import Airframe
-from cablequad.linear import equilibrium_forces, linearize
+from cablequad.linear import equilibrium, equilibrium_forces, linearize
 from cablequad.state import State
 from cablequad.system import System
 from cablequad.types import Array
@@ -148,10 +148,11 @@ def _design(system: System, K: Array, delay: int, max_thrust: Array) -> Design:
     full[:, : K.shape[1]] = K
     ends = np.cumsum([D, D, 2 * n, 2 * n, U * delay])
     K_x, K_xdot, K_phi, K_phidot, K_way = (np.ascontiguousarray(part) for part in np.split(full, ends[:-1], axis=1))
+    hung = equilibrium(system)
     return Design(
         system=system,
-        hanging=State.hanging(system),
-        u_star=equilibrium_forces(system),
+        hanging=State.hanging(system)._replace(R0=hung.R0),
+        u_star=equilibrium_forces(system, hung),
         K_x=K_x,
         K_xdot=K_xdot,
         K_phi=K_phi,

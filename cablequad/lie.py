@@ -181,7 +181,9 @@ def rotation_from_quat(quat_wxyz: Array) -> Array:
 @jit
 def log(R: Array) -> Array:
     """The rotation vector of R, (3,), |xi| <= pi."""
-    return np.array(log_of_rows(((R[0, 0], R[0, 1], R[0, 2]), (R[1, 0], R[1, 1], R[1, 2]), (R[2, 0], R[2, 1], R[2, 2]))))
+    return np.array(
+        log_of_rows(((R[0, 0], R[0, 1], R[0, 2]), (R[1, 0], R[1, 1], R[1, 2]), (R[2, 0], R[2, 1], R[2, 2])))
+    )
 
 
 @jit

@@ -3,6 +3,8 @@
 x = [dx_0, eta_0, C'xi_ij ...] as in `state.local`; M xddot + G x = B du with du = [u_i - u_i*] stacked, (3 n,).
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy import optimize
 
@@ -11,12 +13,78 @@ from cablequad.system import System
 from cablequad.types import Array
 
 
+WEAKEST_SHARE = 0.05  # a tilted load is turned until its weakest cable pulls this share of an equal split
+TILT_STEP = np.radians(0.5)
+
+
 class EquilibriumError(ValueError):
-    """The load cannot hang upright on vertical cables that all pull."""
+    """The load cannot hang still on vertical cables that all pull."""
+
+
+class Equilibrium(NamedTuple):
+    """How the load hangs at rest: cables vertical, the load level where it can be."""
+
+    R0: Array  # (3, 3) payload -> W
+    tension: Array  # (n,) N: T_i*, the pull on the load below the last link's mass
+
+
+def equilibrium(system: System) -> Equilibrium:
+    """The equilibrium with the smallest tilt of the load whose cables all pull.
+
+    Where the level load would need a cable to push, the load is tilted until its centre of mass comes to hang under the
+    attachments. Raises EquilibriumError, naming the cable, where no tilt does.
+    """
+    try:
+        return Equilibrium(np.eye(3), tension_split(system))
+    except EquilibriumError as error:
+        refusal = error
+    enough = WEAKEST_SHARE * system.m0 * system.g / len(system.m)
+    if len(system.m) == 1 and np.linalg.norm(system.rho[0]) > 0:
+        up = system.rho[0] / np.linalg.norm(system.rho[0])
+        R0 = lie.exp(lie.direction_to(up, np.array([0.0, 0.0, -1.0])))
+        return Equilibrium(R0, tension_split(_seen_from(system, R0)))
+    if len(system.m) == 2:
+        return _hung_on_a_line(system, refusal)
+    for tilt in np.arange(TILT_STEP, np.pi, TILT_STEP):
+        best: Equilibrium | None = None
+        for towards in np.radians(np.arange(0.0, 360.0, 5.0)):
+            R0 = lie.exp(tilt * np.array([np.cos(towards), np.sin(towards), 0.0]))
+            try:
+                found = Equilibrium(R0, tension_split(_seen_from(system, R0)))
+            except EquilibriumError:
+                continue
+            if found.tension.min() >= enough and (best is None or found.tension.min() > best.tension.min()):
+                best = found
+        if best is not None:
+            return best
+    raise refusal
+
+
+def _hung_on_a_line(system: System, refusal: EquilibriumError) -> Equilibrium:
+    """Two cables: the centre of mass must come to hang under the line between the attachments."""
+    a, b = system.rho
+    along = (b - a) / np.linalg.norm(b - a)
+    share = float(-(a @ along) / np.linalg.norm(b - a))  # foot of the centre of mass on the line
+    foot = a + share * (b - a)
+    if not 0.0 < share < 1.0:
+        raise EquilibriumError(
+            f"cable {1 if share >= 1.0 else 2} would have to push for the load to hang on vertical cables: its centre of "
+            "mass lies beyond the other cable's attachment"
+        )
+    if np.linalg.norm(foot) < 1e-9:
+        raise refusal
+    R0 = lie.exp(lie.direction_to(foot / np.linalg.norm(foot), np.array([0.0, 0.0, -1.0])))
+    return Equilibrium(R0, tension_split(_seen_from(system, R0)))
+
+
+def _seen_from(system: System, R0: Array) -> System:
+    """The same system with the payload's frame turned so that attitude `R0` is level in it."""
+    rho = np.ascontiguousarray(system.rho @ R0.T)
+    return system._replace(rho=rho, J0=R0 @ system.J0 @ R0.T, Jbar0=R0 @ system.Jbar0 @ R0.T)
 
 
 def tension_split(system: System) -> Array:
-    """(n,) N: the static tension T_i* of each cable below its last link, smallest in norm among those that all pull.
+    """(n,) N: the static tension T_i* of each cable of a level load, smallest in norm among those that all pull.
 
     sum T_i* = m_0 g and sum rho_i x T_i* e3 = 0; for a load whose attachments are centred this is m_0 g / n. Raises
     EquilibriumError naming the cable that would have to push, or the direction in which the load hangs off-centre.
@@ -47,26 +115,37 @@ def tension_split(system: System) -> Array:
         return np.array(result.x[:n], dtype=float)
     worst = int(np.argmin(split))
     raise EquilibriumError(
-        f"cable {worst + 1} would have to push ({split[worst]:.3g} N) for the load to hang level on vertical cables; "
+        f"cable {worst + 1} would have to push ({split[worst]:.3g} N) for the load to hang on vertical cables; "
         "move its attachment or the centre of mass"
     )
 
 
-def equilibrium_forces(system: System) -> Array:
+def equilibrium_forces(system: System, hung: Equilibrium) -> Array:
     """(n, 3) N, W: u_i* = -(M_iT g + T_i*) e3."""
     u = np.zeros((len(system.m), 3))
-    u[:, 2] = -(system.M_iT * system.g + tension_split(system))
+    u[:, 2] = -(system.M_iT * system.g + hung.tension)
     return u
 
 
 def linearize(system: System) -> tuple[Array, Array, Array]:
-    """(M, G, B) of shapes (D, D), (D, D), (D, 3 n), D = 6 + 2 sum n_i, around the upright equilibrium.
+    """(M, G, B) of shapes (D, D), (D, D), (D, 3 n), D = 6 + 2 sum n_i, around `equilibrium(system)`.
 
-    Raises EquilibriumError where there is none.
+    eta_0 are rotations in the payload's own frame, also where the load hangs tilted. Raises EquilibriumError where there
+    is no equilibrium.
     """
+    hung = equilibrium(system)
+    M, G, B = _level(_seen_from(system, hung.R0), hung.tension)
+    for rows in (M, G, B):
+        rows[3:6] = hung.R0.T @ rows[3:6]
+    for columns in (M, G):
+        columns[:, 3:6] = columns[:, 3:6] @ hung.R0
+    return M, G, B
+
+
+def _level(system: System, T: Array) -> tuple[Array, Array, Array]:
+    """The matrices of Proposition 2 for a level load whose cables pull with T (n,) N."""
     n = len(system.m)
     D = 6 + 2 * int(system.n_links.sum())
-    T = tension_split(system)
     C = np.eye(3)[:, :2]
     e3_hat = lie.hat(np.array([0.0, 0.0, 1.0]))
     M, G, B = np.zeros((D, D)), np.zeros((D, D)), np.zeros((D, 3 * n))

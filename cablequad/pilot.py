@@ -60,9 +60,7 @@ def tick(memory: Memory, measurement: Measurement, reference: Reference, design:
     """The setpoints that answer `measurement`. Non-finite measurements give non-finite commands: callers must check."""
     s = measurement.state
     d = _decide(memory, s, reference, design)
-    sample = Sample(
-        measurement.t, s, reference, memory, d.error, d.A, d.R_c, d.f, d.Psi_0, d.Psi, d.e_q, d.e_omega
-    )
+    sample = Sample(measurement.t, s, reference, memory, d.error, d.A, d.R_c, d.f, d.Psi_0, d.Psi, d.e_q, d.e_omega)
     return Memory(d.R_c, d.under_way), sample
 
 
@@ -95,7 +93,8 @@ def _decide(memory: Memory, s: State, reference: Reference, design: Design) -> _
     under_way = np.empty_like(memory.under_way)
     for k in range(len(under_way)):
         under_way[k] = memory.under_way[k - 1] if k > 0 else -a.reshape(design.u_star.shape)
-    e_q, e_omega, Psi_0 = _link_errors(system.n_links, s.q, s.omega, s.R0)
+    e_q, e_omega = _link_errors(system.n_links, s.q, s.omega)
+    Psi_0 = 0.5 * (3.0 - np.sum(target.R0 * s.R0))
     return _Decision(error, A, R_c, f, Psi_0, Psi, e_q, e_omega, under_way)
 
 
@@ -127,11 +126,11 @@ def _commands(A: Array, R: Array, b1: Array, R_before: Array, max_thrust: Array)
 
 
 @jit
-def _link_errors(n_links: Counts, q: Array, omega: Array, R0: Array) -> tuple[float, float, float]:
+def _link_errors(n_links: Counts, q: Array, omega: Array) -> tuple[float, float]:
     e_q, e_omega = 0.0, 0.0
     for i in range(n_links.shape[0]):
         for j in range(n_links[i]):
             x, y, z = q[i, j, 0], q[i, j, 1], q[i, j, 2] - 1.0
             e_q += np.sqrt(x * x + y * y + z * z)
             e_omega += np.sqrt(omega[i, j, 0] ** 2 + omega[i, j, 1] ** 2 + omega[i, j, 2] ** 2)
-    return e_q, e_omega, 0.5 * (3.0 - (R0[0, 0] + R0[1, 1] + R0[2, 2]))
+    return e_q, e_omega

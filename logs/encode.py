@@ -88,7 +88,7 @@ def reference(boot_us: int, sample: Sample) -> Any:
 
 def log_line(ns: int, kind: str, subject: str, text: str) -> Any:
     """/log."""
-    level = Log.Level.WARNING if kind in ("answer-missing", "failure") else Log.Level.INFO
+    level = Log.Level.WARNING if kind in ("sitl-answer-missing", "slack") else Log.Level.INFO
     return Log(timestamp=_stamp(ns), level=level, message=f"{subject}: {text}", name=kind, file="", line=0)
 
 

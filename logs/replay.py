@@ -235,7 +235,7 @@ def _events(out: rr.RecordingStream, run: Run) -> None:
     if run.events:
         t = np.array([(e.time_ns - run.release_ns) * 1e-9 for e in run.events])
         text = [f"{e.subject}: {e.text}" for e in run.events]
-        level = ["WARN" if e.kind in ("sitl-answer-missing",) else "INFO" for e in run.events]
+        level = ["WARN" if e.kind in ("sitl-answer-missing", "slack") else "INFO" for e in run.events]
         out.send_columns("events", [_time(t)], rr.TextLog.columns(text=text, level=level))
 
 

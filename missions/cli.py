@@ -85,6 +85,29 @@ def fly(
 
 
 @app.command()
+def check(
+    scenario: ScenarioArgument = "paper-case-1",
+    quick: Annotated[bool, typer.Option(help="Leave out what needs many simulated flights.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")] = False,
+) -> None:
+    """Say what can be said of a scenario before it flies: modes, margins, the stability certificate, what settles."""
+    from rich.console import Console
+
+    from missions.check import check as examine
+    from missions.check import show
+    from missions.scenario import ScenarioError
+
+    try:
+        result = examine(_load(scenario, None, None), quick)
+    except ScenarioError as error:
+        _usage(str(error))
+    if as_json:
+        print(json.dumps(result))
+    else:
+        show(result, Console(width=None if sys.stdout.isatty() else 120, highlight=False))
+
+
+@app.command()
 def sitl(
     scenario: ScenarioArgument = "paper-case-1",
     speed: SpeedOption = "1",

@@ -68,6 +68,7 @@ class _Watch:
         self.released = False
         self.ended = False
         self._truth_tension = False
+        self._slack: set[int] = set()
 
     def received(self, boot_us: int, frame: Received) -> None:
         self.recorder.received(boot_us, frame)
@@ -97,6 +98,19 @@ class _Watch:
                 self._truth_tension, self.track.min_tension_N = True, math.inf
             used = np.arange(truth.tension.shape[1])[None, :] < n_links[:, None]
             self.track.tension(float(truth.tension[used].min()))
+            self._tell_slack(truth.boot_us, np.where(used, truth.tension, np.inf))
+
+    def _tell_slack(self, boot_us: int, tension: np.ndarray) -> None:
+        """An event when a link of a cable begins to push, that is, the cable is slack, and when it pulls again."""
+        for i, link in enumerate(tension.argmin(axis=1).tolist()):
+            pushes = bool(tension[i, link] < 0)
+            if pushes and i not in self._slack:
+                self._slack.add(i)
+                text = f"link {link + 1} pushes with {-tension[i, link]:.2f} N: the cable is slack"
+                self.recorder.event(boot_us, "slack", f"cable {i + 1}", text)
+            elif not pushes and i in self._slack:
+                self._slack.discard(i)
+                self.recorder.event(boot_us, "taut", f"cable {i + 1}", "every link pulls again")
 
 
 def run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary, bool]:

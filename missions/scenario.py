@@ -276,15 +276,19 @@ def load(name: str, duration_s: float | None = None, seed: int | None = None) ->
         raise ScenarioError(f"scenario {name}: {error}") from None
 
 
+def weights(flight: Flight) -> Weights:
+    """The weights of the scenario's quadratic cost."""
+    w = flight.scenario.control.weights
+    return Weights(w.position, w.velocity, w.attitude, w.body_rate, w.link_direction, w.link_rate, w.force)
+
+
 def design(flight: Flight) -> Design:
     """The controller of a flight. Raises ScenarioError where the system has no equilibrium or no stabilising gains."""
-    w = flight.scenario.control.weights
-    weights = Weights(w.position, w.velocity, w.attitude, w.body_rate, w.link_direction, w.link_rate, w.force)
     c = flight.scenario.control
     try:
         if c.law == "paper":
-            return continuous_law(flight.system, weights, flight.airframe.max_thrust)
-        return sampled_law(flight.system, flight.airframe, weights, flight.control_us * 1e-6, c.delay_ticks)
+            return continuous_law(flight.system, weights(flight), flight.airframe.max_thrust)
+        return sampled_law(flight.system, flight.airframe, weights(flight), flight.control_us * 1e-6, c.delay_ticks)
     except (EquilibriumError, DesignError) as error:
         raise ScenarioError(f"scenario {flight.scenario.name}: {error}") from None
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from cablequad import lie
 from cablequad.dynamics import accelerations
-from cablequad.linear import EquilibriumError, equilibrium_forces, linearize, tension_split
+from cablequad.linear import EquilibriumError, equilibrium, equilibrium_forces, linearize, tension_split
 from cablequad.state import Error, State, local, retract
 from cablequad.system import Cable, Payload, Quadrotor, System
 
@@ -26,7 +26,8 @@ def centred(rng: np.random.Generator) -> System:
 
 def jacobians(system: System) -> tuple[np.ndarray, np.ndarray]:
     """d(xddot)/dx and d(xddot)/du of the nonlinear model at the hanging equilibrium, by central differences."""
-    hanging, u = State.hanging(system), equilibrium_forces(system)
+    hung = equilibrium(system)
+    hanging, u = State.hanging(system)._replace(R0=hung.R0), equilibrium_forces(system, hung)
     D = 6 + 2 * int(system.n_links.sum())
 
     def xddot(x: np.ndarray, force: np.ndarray) -> np.ndarray:
@@ -78,7 +79,7 @@ def test_stiffness_with_the_printed_sign_turns_hanging_cables_into_inverted_pend
 def test_equilibrium_is_one() -> None:
     for seed in range(5):
         system = centred(np.random.default_rng(seed))
-        acc = accelerations(system, State.hanging(system), equilibrium_forces(system))
+        acc = accelerations(system, State.hanging(system), equilibrium_forces(system, equilibrium(system)))
         assert np.abs(acc.x0_ddot).max() < 1e-10
         assert np.abs(acc.Omega0_dot).max() < 1e-9
         last = acc.tension[np.arange(len(system.m)), system.n_links - 1]
@@ -86,14 +87,44 @@ def test_equilibrium_is_one() -> None:
         np.testing.assert_allclose(below, tension_split(system), rtol=0, atol=1e-9)
 
 
-def test_a_load_that_cannot_hang_level_names_the_reason() -> None:
-    q, c = Quadrotor(0.7, (5e-3, 5e-3, 9e-3)), Cable([0.01], [0.5])
-    beside = Payload(0.5, (1e-2,) * 3, [(0.1, 0.0, -0.1)])
-    with pytest.raises(EquilibriumError, match="does not lie under the attachments"):
-        tension_split(System.of(beside, [q], [c]))
-    outside = Payload(0.5, (1e-2,) * 3, [(0.1, 0.3, -0.1), (0.1, -0.3, -0.1), (0.4, 0.0, -0.1)])
-    with pytest.raises(EquilibriumError, match="cable 3 would have to push"):
-        tension_split(System.of(outside, [q] * 3, [c] * 3))
+Q, C = Quadrotor(0.7, (5e-3, 5e-3, 9e-3)), Cable([0.01, 0.02], [0.3, 0.4])
+
+
+def hung(*attachments: tuple[float, float, float]) -> System:
+    n = len(attachments)
+    return System.of(Payload(0.5, np.diag([0.011, 0.012, 0.013]), attachments), [Q] * n, [C] * n)
+
+
+OFF_CENTRE = {
+    "one cable beside the centre": hung((0.1, 0.05, -0.1)),
+    "two cables, centre beside their line": hung((0.1, 0.3, -0.1), (0.1, -0.3, -0.1)),
+    "three cables, centre outside": hung((0.1, 0.3, -0.3), (0.1, -0.3, -0.3), (0.4, 0.0, -0.3)),
+    "four cables, centre outside": hung((0.05, 0.3, -0.4), (0.05, -0.3, -0.4), (0.5, 0.2, -0.4), (0.5, -0.2, -0.4)),
+}
+
+
+@pytest.mark.parametrize("system", OFF_CENTRE.values(), ids=list(OFF_CENTRE))
+def test_a_load_that_cannot_hang_level_hangs_tilted_with_every_cable_pulling(system: System) -> None:
+    with pytest.raises(EquilibriumError):
+        tension_split(system)
+    found = equilibrium(system)
+    assert found.tension.min() > 0
+    state = State.hanging(system)._replace(R0=found.R0)
+    acc = accelerations(system, state, equilibrium_forces(system, found))
+    assert np.abs(acc.x0_ddot).max() < 1e-9
+    assert np.abs(acc.Omega0_dot).max() < 1e-8
+    M, G, B = linearize(system)
+    by_x, by_u = jacobians(system)
+    assert np.abs(by_x + np.linalg.solve(M, G)).max() < 1e-6 * np.abs(by_x).max()
+    np.testing.assert_allclose(by_u, np.linalg.solve(M, B), rtol=0, atol=1e-6 * np.abs(by_u).max())
+
+
+def test_a_load_that_cannot_hang_at_all_names_the_cable() -> None:
+    """Two attachments on one side of the centre of mass: no tilt brings it between them."""
+    with pytest.raises(EquilibriumError, match="cable 2 would have to push"):
+        equilibrium(hung((0.1, 0.0, -0.1), (0.4, 0.0, -0.1)))
+    with pytest.raises(EquilibriumError, match="cable 1 would have to push"):
+        equilibrium(hung((0.4, 0.0, -0.1), (0.1, 0.0, -0.1)))
 
 
 @given(st.integers(0, 2**32))

@@ -1,0 +1,237 @@
+"""The model's figures beside MuJoCo's, in one run: `python -m benchmarks.model [--out FILE]`.
+
+Prints tables and writes them as JSON (benchmarks/results/model.json).
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.peer import apply_forces, model_of, set_state
+from cablequad import lie
+from cablequad._jit import jit
+from cablequad.attitude import Airframe
+from cablequad.design import Weights, continuous_law
+from cablequad.dynamics import Accelerations, Workspace, accelerate
+from cablequad.integrate import Command, Scratch, advance, scratch
+from cablequad.pilot import Reference
+from cablequad.rollout import Timing, rollout
+from cablequad.state import State, positions
+from cablequad.system import Cable, Payload, Quadrotor, System
+
+SIZES = [(4, 5), (4, 20), (4, 80), (16, 10), (64, 50)]
+MUJOCO_UP_TO = 400  # links: beyond that a single step of MuJoCo takes longer than this benchmark should
+console = Console(width=110)
+
+
+@jit
+def _evaluate(system: System, state: State, force: np.ndarray, out: Accelerations, work: Workspace, k: int) -> None:
+    for _ in range(k):
+        accelerate(system, state, force, out, work)
+
+
+def ring(n: int, links: int) -> System:
+    """n vehicles on a ring, cables of 0.75 m and 50 g in `links` pieces; the paper's own system for (4, 5)."""
+    if (n, links) == (4, 5):
+        return System.paper(1)
+    angle = 2 * np.pi * np.arange(n) / n
+    rho = np.stack([0.5 * np.cos(angle), 0.5 * np.sin(angle), np.full(n, -0.1)], axis=1)
+    quadrotor = Quadrotor(0.755, (0.557e-2, 0.557e-2, 1.05e-2))
+    cable = Cable([0.05 / links] * links, [0.75 / links] * links)
+    return System.of(Payload(0.125 * n, (0.02 * n,) * 3, rho), [quadrotor] * n, [cable] * n)
+
+
+def swinging(system: System) -> State:
+    """Curled and turning a little, so that nothing is trivially zero."""
+    rng = np.random.default_rng(0)
+    state = State.hanging(system)
+    n, L = system.length.shape
+    q = state.q + 0.1 * rng.normal(size=(n, L, 3))
+    q /= np.linalg.norm(q, axis=-1, keepdims=True)
+    omega = 0.3 * rng.normal(size=(n, L, 3))
+    omega -= np.sum(omega * q, axis=-1, keepdims=True) * q
+    return state._replace(q=q, omega=omega, R0=lie.exp(np.array([0.05, -0.1, 0.2])))
+
+
+def hover(system: System) -> Command:
+    """Equilibrium thrust, no moment."""
+    n = len(system.m)
+    return Command((system.M_iT + system.m0 / n) * system.g, np.zeros((n, 3)))
+
+
+def best(run: Callable[[], object], per: int, repeats: int = 5) -> float:
+    """us per item: the best of several runs of `per` items."""
+    times = []
+    for _ in range(repeats):
+        begun = time.perf_counter()
+        run()
+        times.append(time.perf_counter() - begun)
+    return min(times) / per * 1e6
+
+
+def sizes() -> list[dict]:
+    """One evaluation and one RK4 step with held controls, beside MuJoCo's RK4 step."""
+    rows = []
+    for n, links in SIZES:
+        system = ring(n, links)
+        state, command = swinging(system), hover(system)
+        work: Scratch = scratch(system, state)
+        _evaluate(system, state, work.force, work.acc, work.work, 1)
+        count = max(20, 200_000 // (n * links))
+        evaluation = best(lambda s=system, x=state, w=work, k=count: _evaluate(s, x, w.force, w.acc, w.work, k), count)  # type: ignore[misc]
+        advance(system, state.copy(), command, 1e-5, 1, work)
+        count = max(10, count // 8)
+        step = best(lambda s=system, x=state, w=work, c=command, k=count: advance(s, x.copy(), c, 1e-5, k, w), count)  # type: ignore[misc]
+        row = {"n": n, "links": links, "evaluation_us": evaluation, "step_us": step, "mujoco_step_us": None}
+        if n * links <= MUJOCO_UP_TO:
+            model = model_of(system, 1e-5)
+            data = mujoco.MjData(model)
+            set_state(system, model, data, state)
+            apply_forces(system, model, data, np.outer(command.thrust, [0.0, 0.0, -1.0]))
+            count = max(5, 20_000 // (n * links) ** 2 * 4)
+            mujoco.mj_step(model, data)
+            row["mujoco_step_us"] = best(lambda m=model, d=data, k=count: mujoco.mj_step(m, d, k), count, 3)  # type: ignore[misc]
+        rows.append(row)
+    table = Table(title="one evaluation, one RK4 step with held controls [us]")
+    for name in ("n", "links", "evaluation", "RK4 step", "MuJoCo RK4 step", "ratio"):
+        table.add_column(name, justify="right")
+    for row in rows:
+        theirs = row["mujoco_step_us"]
+        ratio = "-" if theirs is None else f"{theirs / row['step_us']:.1f}"
+        shown = "-" if theirs is None else f"{theirs:.1f}"
+        table.add_row(
+            str(row["n"]), str(row["links"]), f"{row['evaluation_us']:.2f}", f"{row['step_us']:.2f}", shown, ratio
+        )
+    console.print(table)
+    return rows
+
+
+def linearity() -> dict:
+    """Cost against links for four cables: the exponent of a power law through 5 .. 320 links a cable."""
+    counts = np.array([5, 10, 20, 40, 80, 160, 320])
+    costs = []
+    for links in counts:
+        system = ring(4, int(links))
+        state, command = swinging(system), hover(system)
+        work = scratch(system, state)
+        k = int(4000 // links) + 2
+        costs.append(best(lambda s=system, x=state, w=work, c=command, k=k: advance(s, x.copy(), c, 1e-6, k, w), k))  # type: ignore[misc]
+    exponent = float(np.polyfit(np.log(counts), np.log(costs), 1)[0])
+    console.print(f"cost of a step ~ links^{exponent:.2f} from {counts[0]} to {counts[-1]} links a cable")
+    return {"links": counts.tolist(), "step_us": costs, "exponent": exponent}
+
+
+def precision() -> list[dict]:
+    """Error of the load's and the vehicles' positions after 2 s against wall time, ours and MuJoCo's."""
+    system = System.paper(1)
+    start, command = swinging(system), hover(system)
+    judge = start.copy()
+    advance(system, judge, command, 2.5e-5, 80_000, scratch(system, judge))
+    truth = np.vstack([judge.x0[None], positions(system, judge)[:, 0]])
+    rows = []
+    for h in (4e-3, 2e-3, 1e-3, 5e-4, 2.5e-4):
+        steps = round(2.0 / h)
+        state = start.copy()
+        work = scratch(system, state)
+        begun = time.perf_counter()
+        advance(system, state, command, h, steps, work)
+        took = time.perf_counter() - begun
+        ends = np.vstack([state.x0[None], positions(system, state)[:, 0]])
+        rows.append(
+            {"engine": "cablequad RK4", "h_ms": 1e3 * h, "error_m": float(np.abs(ends - truth).max()), "ms": 1e3 * took}
+        )
+        for integrator in ("RK4", "implicitfast"):
+            model = model_of(system, h, integrator)
+            data = mujoco.MjData(model)
+            set_state(system, model, data, start)
+            apply_forces(system, model, data, np.outer(command.thrust, [0.0, 0.0, -1.0]))
+            begun = time.perf_counter()
+            mujoco.mj_step(model, data, steps)
+            took = time.perf_counter() - begun
+            mujoco.mj_forward(model, data)
+            ends = np.vstack([data.qpos[:3][None], [data.body(f"b{i}_0").xipos for i in range(4)]])
+            error = float(np.abs(ends - truth).max())
+            rows.append({"engine": f"MuJoCo {integrator}", "h_ms": 1e3 * h, "error_m": error, "ms": 1e3 * took})
+    table = Table(title="work against precision: 2 s of the paper's system (n = 4, 5 links), curled and turning")
+    for name in ("engine", "step [ms]", "error at 2 s [m]", "time [ms]"):
+        table.add_column(name, justify="right")
+    for row in sorted(rows, key=lambda r: (r["engine"], -r["h_ms"])):
+        table.add_row(row["engine"], f"{row['h_ms']:g}", f"{row['error_m']:.1e}", f"{row['ms']:.2f}")
+    console.print(table)
+    return rows
+
+
+def flights() -> dict:
+    """Closed loop without a wire: Case 1, 10 s, 1 ms steps, decisions at 250 Hz, law = paper; and batches of it."""
+    system = System.paper(1)
+    airframe = Airframe(np.full(4, 40.0), np.full(4, 0.9), np.full(4, 25.0))
+    design = continuous_law(system, Weights(1, 2, 2, 1, 1, 0.1, 1), airframe.max_thrust)
+    target = Reference(np.array([0.44, 0.78, -0.5]), np.zeros(3))
+    start = State.hanging(system, (1.0, 4.8, 0.0))
+
+    def one() -> None:
+        for _ in rollout(design, airframe, lambda _: target, start, Timing(0.004, 4, 1), 2500):
+            pass
+
+    one()
+    alone = 10.0 / (best(one, 1, 3) * 1e-6)
+    cores = os.cpu_count() or 1
+    work = [scratch(system, start) for _ in range(cores)]
+    states = [start.copy() for _ in range(cores)]
+
+    def motion(k: int) -> None:
+        advance(system, states[k], hover(system), 1e-3, 50_000, work[k])
+
+    serial = best(lambda: [motion(k) for k in range(cores)], 1, 3)
+    with ThreadPoolExecutor(cores) as pool:
+        threads = best(lambda: list(pool.map(motion, range(cores))), 1, 3)
+    console.print(f"rollout of Case 1 (law = paper): {alone:.0f} x real time on one core")
+    console.print(f"batches on {cores} cores, threads with the GIL released: {serial / threads:.2f} x one core")
+    return {"rollout_real_time_factor": alone, "cores": cores, "thread_scaling": serial / threads}
+
+
+def starts() -> dict:
+    """Seconds until a command is back, with compiled code cached."""
+    out = {}
+    for name, arguments in (("help", ["--help"]), ("check", ["check", "paper-case-1", "--quick", "--json"])):
+        command = [sys.executable, "-m", "missions.cli", *arguments]
+        times = []
+        for _ in range(3):
+            begun = time.perf_counter()
+            subprocess.run(command, check=False, capture_output=True)
+            times.append(time.perf_counter() - begun)
+        out[name] = min(times)
+        console.print(f"cablequad {' '.join(arguments)}: {min(times):.2f} s")
+    return out
+
+
+def main() -> None:
+    """All tables."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "model.json")
+    out: Path = parser.parse_args().out
+    results = {
+        "sizes": sizes(),
+        "linearity": linearity(),
+        "precision": precision(),
+        "flights": flights(),
+        "starts": starts(),
+    }
+    out.parent.mkdir(parents=True, exist_ok=True)
+    out.write_text(json.dumps(results, indent=1) + "\n")
+    console.print(f"written to {out}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,134 @@
+"""What the linear loop says of itself: controllability, poles, and margins at the vehicles' inputs."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from cablequad.attitude import Airframe
+from cablequad.design import Design, flown_model, state_space
+from cablequad.system import System
+from cablequad.types import Array
+
+WEAK = 1e-3  # a mode whose PBH margin is below this share of the largest is called weakly controllable
+
+
+class Mode(NamedTuple):
+    """An open-loop mode and how far the vehicles' forces can move it."""
+
+    pole: complex  # 1/s
+    pbh: float  # smallest singular value of [A - pole I, B]
+    motion: str  # where the mode lives
+
+
+class Margins(NamedTuple):
+    """Margins of the sampled loop, each broken at one input with the others closed, and of all inputs together."""
+
+    gain_up: float  # factor, worst input
+    gain_down: float
+    phase_deg: float
+    delay_ms: float  # from the phase margin of the worst input
+    worst_input: str
+    disk: float  # balanced disk margin of all inputs at once, 1 / max |S - I/2|: full-block, so a lower bound
+    disk_gain: tuple[float, float]  # factors allowed on every input independently
+    disk_phase_deg: float
+    delay_ticks_all: int  # whole ticks of extra delay on every input that the loop survives
+
+
+def coordinates(system: System) -> list[str]:
+    """Names of the coordinates of x."""
+    out = ["load x", "load y", "load z", "load roll", "load pitch", "load yaw"]
+    for i, k in enumerate(system.n_links.tolist()):
+        out += [f"cable {i + 1} link {j + 1} about {axis}" for j in range(k) for axis in "xy"]
+    return out
+
+
+def modes(system: System) -> list[Mode]:
+    """Open-loop modes with their PBH margins, the weakest first; conjugates are listed once."""
+    A, B = state_space(system)
+    D = len(A) // 2
+    values, vectors = np.linalg.eig(A)
+    names = coordinates(system)
+    out: list[Mode] = []
+    for value, vector in zip(values, vectors.T, strict=True):
+        if value.imag < -1e-9:
+            continue
+        pbh = float(np.linalg.svd(np.hstack([A - value * np.eye(2 * D), B.astype(complex)]), compute_uv=False)[-1])
+        share = np.abs(vector[:D])
+        out.append(Mode(complex(value), pbh, names[int(np.argmax(share))]))
+    return sorted(out, key=lambda mode: mode.pbh)
+
+
+def gain_matrix(design: Design) -> Array:
+    """All gains side by side, as the sampled model orders its states."""
+    return np.hstack([design.K_x, design.K_xdot, design.K_phi, design.K_phidot, design.K_way])
+
+
+def closed_loop_poles(design: Design, airframe: Airframe, period: float, delay: int) -> Array:
+    """Poles of the sampled loop as flown (in z). A design without a model of delay flies with it all the same."""
+    A, B = flown_model(design.system, airframe, period, delay)
+    return np.asarray(np.linalg.eigvals(A - B @ _full(gain_matrix(design), A)))
+
+
+def margins(design: Design, airframe: Airframe, period: float, delay: int) -> Margins:
+    """Margins of the sampled loop; zero margins where the loop is not stable to begin with."""
+    A, B = flown_model(design.system, airframe, period, delay)
+    K = _full(gain_matrix(design), A)
+    m = B.shape[1]
+    if np.abs(np.linalg.eigvals(A - B @ K)).max() >= 1:
+        return Margins(1.0, 1.0, 0.0, 0.0, "the loop itself is unstable", 0.0, (1.0, 1.0), 0.0, -1)
+    w = np.logspace(-2, np.log10(np.pi / period), 600)
+    I = np.eye(len(A))
+    S = np.empty((len(w), m, m), dtype=complex)
+    for k, z in enumerate(np.exp(1j * w * period)):
+        S[k] = np.linalg.inv(np.eye(m) + K @ np.linalg.solve(z * I - A, B))
+    names = [f"vehicle {i + 1} {axis}" for i in range(m // 3) for axis in "xyz"]
+    per_input = [_siso(1.0 / S[:, i, i] - 1.0, w) for i in range(m)]
+    worst = int(np.argmin([p[2] for p in per_input]))
+    disk = min(2.0 * (1 - 1e-9), 1.0 / max(float(np.linalg.norm(S_w - 0.5 * np.eye(m), 2)) for S_w in S))
+    factor, phase = (2.0 + disk) / (2.0 - disk), 2.0 * np.degrees(np.arctan(0.5 * disk))
+    up = min(p[0] for p in per_input)
+    down = max(p[1] for p in per_input)
+    delay_ms = 1e3 * min(p[3] for p in per_input)
+    extra = _extra_ticks(design, airframe, period, delay)
+    return Margins(
+        up, down, per_input[worst][2], delay_ms, names[worst], float(disk), (1 / factor, factor), float(phase), extra
+    )
+
+
+def _full(K: Array, A: Array) -> Array:
+    """Gains for a model with more states than the design has: what it does not know of is not fed back."""
+    out = np.zeros((len(K), len(A)))
+    k = min(K.shape[1], len(A))
+    out[:, :k] = K[:, :k]
+    return out
+
+
+def _siso(L: Array, w: Array) -> tuple[float, float, float, float]:
+    """Gain margins up and down (factors), phase margin (deg) and delay margin (s) of one loop."""
+    up, down = np.inf, 0.0
+    crossing = np.flatnonzero(np.diff(np.sign(L.imag)) != 0)
+    for k in crossing:
+        share = L.imag[k] / (L.imag[k] - L.imag[k + 1])
+        real = L.real[k] + share * (L.real[k + 1] - L.real[k])
+        if real < -1.0:
+            down = max(down, -1.0 / real)
+        elif real < 0.0:
+            up = min(up, -1.0 / real)
+    phase, delay = 180.0, np.inf
+    size = np.abs(L) - 1.0
+    for k in np.flatnonzero(np.diff(np.sign(size)) != 0):
+        share = size[k] / (size[k] - size[k + 1])
+        at = L[k] + share * (L[k + 1] - L[k])
+        angle = float(np.angle(-at))  # 0 at -1; positive: delay turns it towards -1
+        phase = min(phase, abs(np.degrees(angle)))
+        delay = min(delay, (angle % (2 * np.pi)) / (w[k] + share * (w[k + 1] - w[k])))
+    return float(up), float(down), float(phase), float(delay)
+
+
+def _extra_ticks(design: Design, airframe: Airframe, period: float, delay: int) -> int:
+    """How many ticks more of delay, unknown to the design, the loop survives (up to 25)."""
+    for extra in range(1, 26):
+        A, B = flown_model(design.system, airframe, period, delay + extra)
+        if np.abs(np.linalg.eigvals(A - B @ _full(gain_matrix(design), A))).max() >= 1:
+            return extra - 1
+    return 25
