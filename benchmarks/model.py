@@ -23,12 +23,22 @@ from cablequad import lie
 from cablequad._jit import jit
 from cablequad.attitude import Airframe
 from cablequad.design import Weights, continuous_law
-from cablequad.dynamics import Accelerations, Workspace, accelerate
-from cablequad.integrate import Command, Scratch, advance, scratch
+from cablequad.dynamics import (
+    Accelerations,
+    Workspace,
+    _solve_payload,
+    _sweep_down,
+    _sweep_up,
+    accelerate,
+    energy,
+    kinetic_energy,
+)
+from cablequad.integrate import Command, Scratch, _finish, _stage, advance, scratch
 from cablequad.pilot import Reference
 from cablequad.rollout import Timing, rollout
 from cablequad.state import State, positions
 from cablequad.system import Cable, Payload, Quadrotor, System
+from missions.batch import spread
 
 SIZES = [(4, 5), (4, 20), (4, 80), (16, 10), (64, 50)]
 MUJOCO_UP_TO = 400  # links: beyond that a single step of MuJoCo takes longer than this benchmark should
@@ -39,6 +49,36 @@ console = Console(width=110)
 def _evaluate(system: System, state: State, force: np.ndarray, out: Accelerations, work: Workspace, k: int) -> None:
     for _ in range(k):
         accelerate(system, state, force, out, work)
+
+
+@jit
+def _loop_down(system: System, state: State, w: Scratch, k: int) -> None:
+    for _ in range(k):
+        _sweep_down(system, state, w.force, w.work)
+
+
+@jit
+def _loop_payload(system: System, state: State, w: Scratch, k: int) -> None:
+    for _ in range(k):
+        _solve_payload(system, state, w.acc, w.work)
+
+
+@jit
+def _loop_up(system: System, state: State, w: Scratch, k: int) -> None:
+    for _ in range(k):
+        _sweep_up(system, state, w.force, w.acc, w.work)
+
+
+@jit
+def _loop_stage(system: System, state: State, w: Scratch, k: int) -> None:
+    for _ in range(k):
+        _stage(system, state, w.stage, w, 1e-9, 1e-9)
+
+
+@jit
+def _loop_finish(system: System, state: State, w: Scratch, k: int) -> None:
+    for _ in range(k):
+        _finish(system, state, w)
 
 
 def ring(n: int, links: int) -> System:
@@ -128,8 +168,15 @@ def linearity() -> dict:
         k = int(4000 // links) + 2
         costs.append(best(lambda s=system, x=state, w=work, c=command, k=k: advance(s, x.copy(), c, 1e-6, k, w), k))  # type: ignore[misc]
     exponent = float(np.polyfit(np.log(counts), np.log(costs), 1)[0])
-    console.print(f"cost of a step ~ links^{exponent:.2f} from {counts[0]} to {counts[-1]} links a cable")
-    return {"links": counts.tolist(), "step_us": costs, "exponent": exponent}
+    slope, fixed = np.polyfit(counts, costs, 1, w=1 / np.array(costs))
+    off = float(np.abs((fixed + slope * counts) / costs - 1).max())
+    linked = float(np.polyfit(np.log(counts), np.log(np.array(costs) - fixed), 1)[0])
+    console.print(
+        f"a step from {counts[0]} to {counts[-1]} links a cable: {fixed:.1f} us for vehicles and load + {slope:.3f} us "
+        f"a link of each cable (within {100 * off:.0f} %); exponent of the cables' part {linked:.2f}, "
+        f"of the whole {exponent:.2f}"
+    )
+    return {"links": counts.tolist(), "step_us": costs, "exponent": exponent, "exponent_of_cables": linked}
 
 
 def precision() -> list[dict]:
@@ -172,6 +219,19 @@ def precision() -> list[dict]:
     return rows
 
 
+def _flights(count: int) -> None:
+    """`count` rollouts of Case 1."""
+    system = System.paper(1)
+    airframe = Airframe(np.full(4, 40.0), np.full(4, 0.9), np.full(4, 25.0))
+    design = continuous_law(system, Weights(1, 2, 2, 1, 1, 0.1, 1), airframe.max_thrust)
+    target = Reference(np.array([0.44, 0.78, -0.5]), np.zeros(3))
+    for _ in range(count):
+        for _ in rollout(
+            design, airframe, lambda _: target, State.hanging(system, (1.0, 4.8, 0.0)), Timing(0.004, 4, 1), 2500
+        ):
+            pass
+
+
 def flights() -> dict:
     """Closed loop without a wire: Case 1, 10 s, 1 ms steps, decisions at 250 Hz, law = paper; and batches of it."""
     system = System.paper(1)
@@ -187,6 +247,14 @@ def flights() -> dict:
     one()
     alone = 10.0 / (best(one, 1, 3) * 1e-6)
     cores = os.cpu_count() or 1
+    jobs = [20] * cores
+    spread(_flights, [1] * cores)
+    begun = time.perf_counter()
+    _flights(sum(jobs))
+    lone = time.perf_counter() - begun
+    begun = time.perf_counter()
+    spread(_flights, jobs)
+    together = time.perf_counter() - begun
     work = [scratch(system, start) for _ in range(cores)]
     states = [start.copy() for _ in range(cores)]
 
@@ -198,21 +266,70 @@ def flights() -> dict:
         threads = best(lambda: list(pool.map(motion, range(cores))), 1, 3)
     console.print(f"rollout of Case 1 (law = paper): {alone:.0f} x real time on one core")
     console.print(f"batches on {cores} cores, threads with the GIL released: {serial / threads:.2f} x one core")
-    return {"rollout_real_time_factor": alone, "cores": cores, "thread_scaling": serial / threads}
+    console.print(
+        f"{sum(jobs)} rollouts as {cores} processes, their start included: {lone / together:.2f} x one process"
+    )
+    return {
+        "rollout_real_time_factor": alone, "cores": cores, "thread_scaling": serial / threads,
+        "process_scaling": lone / together,
+    }  # fmt: skip
+
+
+def phases() -> dict:
+    """ns per part of one RK4 step of the paper's system: where the time goes."""
+    system = System.paper(1)
+    state, command = swinging(system), hover(system)
+    work = scratch(system, state)
+    k = 20_000
+    parts = {}
+    for name, loop in (
+        ("sweep down (4 x)", _loop_down), ("payload's 6 x 6 (4 x)", _loop_payload), ("sweep up (4 x)", _loop_up),
+        ("moving to a stage (4 x)", _loop_stage), ("finish", _loop_finish),
+    ):  # fmt: skip
+        loop(system, state.copy(), work, 1)
+        each = 1e3 * best(lambda f=loop: f(system, state.copy(), work, k), k)  # type: ignore[misc]
+        parts[name] = each * (1 if name == "finish" else 4)
+    whole = 1e3 * best(lambda: advance(system, state.copy(), command, 1e-5, k, work), k)
+    table = Table(title="where one RK4 step goes, n = 4, 5 links")
+    table.add_column("part")
+    table.add_column("ns", justify="right")
+    for name, value in [*parts.items(), ("whole step", whole)]:
+        table.add_row(name, f"{value:.0f}")
+    console.print(table)
+    return {**parts, "whole step": whole}
+
+
+def drift() -> dict:
+    """Energy kept over 60 s of free fall from a curled, turning start, 1 ms steps."""
+    system = System.paper(1)
+    state = swinging(system)
+    before = energy(system, state)
+    scale = kinetic_energy(system, state) + system.M_T * system.g
+    idle = Command(np.zeros(4), np.zeros((4, 3)))
+    advance(system, state, idle, 1e-3, 60_000, scratch(system, state))
+    fallen = kinetic_energy(system, state)
+    change = abs(energy(system, state) - before)
+    console.print(
+        f"60 s of free fall at 1 ms: energy off by {change:.1e} J of {fallen:.1e} J kinetic, {scale:.1f} J at the start"
+    )
+    return {"change_J": change, "kinetic_end_J": fallen, "scale_start_J": scale}
 
 
 def starts() -> dict:
-    """Seconds until a command is back, with compiled code cached."""
+    """Seconds until a command shows its first line and until it is back, with compiled code cached."""
     out = {}
-    for name, arguments in (("help", ["--help"]), ("check", ["check", "paper-case-1", "--quick", "--json"])):
-        command = [sys.executable, "-m", "missions.cli", *arguments]
-        times = []
+    for name, arguments in (("help", ["--help"]), ("check", ["check", "paper-case-1", "--quick"])):
+        firsts, wholes = [], []
         for _ in range(3):
             begun = time.perf_counter()
-            subprocess.run(command, check=False, capture_output=True)
-            times.append(time.perf_counter() - begun)
-        out[name] = min(times)
-        console.print(f"cablequad {' '.join(arguments)}: {min(times):.2f} s")
+            child = subprocess.Popen([sys.executable, "-m", "missions.cli", *arguments], stdout=subprocess.PIPE)
+            assert child.stdout is not None
+            child.stdout.readline()
+            firsts.append(time.perf_counter() - begun)
+            child.communicate()
+            wholes.append(time.perf_counter() - begun)
+        out[name] = {"first_line_s": min(firsts), "whole_s": min(wholes)}
+        console.print(f"cablequad {' '.join(arguments)}: first line {min(firsts):.2f} s, done {min(wholes):.2f} s")
     return out
 
 
@@ -224,7 +341,9 @@ def main() -> None:
     results = {
         "sizes": sizes(),
         "linearity": linearity(),
+        "phases_ns": phases(),
         "precision": precision(),
+        "drift": drift(),
         "flights": flights(),
         "starts": starts(),
     }

@@ -36,7 +36,8 @@ def model_of(system: System, timestep: float = 1e-4, integrator: str = "RK4") ->
     inertia = v(J[0, 0], J[1, 1], J[2, 2], J[0, 1], J[0, 2], J[1, 2])
     return mujoco.MjModel.from_xml_string(
         f"""<mujoco><compiler autolimits="false" boundmass="0" boundinertia="0" inertiafromgeom="false"/>
-        <option gravity="0 0 {system.g}" timestep="{timestep:.17g}" integrator="{integrator}"><flag contact="disable" constraint="disable"/></option>
+        <option gravity="0 0 {system.g}" timestep="{timestep:.17g}" integrator="{integrator}">
+        <flag contact="disable" constraint="disable"/></option>
         <worldbody><body name="load"><freejoint name="load"/>
         <inertial pos="0 0 0" mass="{system.m0:.17g}" fullinertia="{inertia}"/>{chains}</body></worldbody></mujoco>"""
     )

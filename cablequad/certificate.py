@@ -1,10 +1,10 @@
 """Proposition 3 evaluated for one design: its matrices, its conditions, and what they allow.
 
-The paper's law is meant: forces A_i = u_i* - K_x x - K_xdot x_dot and moments with k_R, k_Omega. The printed bound on c_2i
-and the printed higher-order term are misprints; both are corrected here.
+The paper's law is meant: forces A_i = u_i* - K_x x - K_xdot x_dot and moments with k_R, k_Omega. The printed bound on
+c_2i and the printed higher-order term are misprints; both are corrected here.
 
-Of the conditions, only alpha < lambda_min(Q) / (2 c_3 K_max) ties the gains: c_3 grows with Q, so Q's scale drops out of
-it, and a small scale always satisfies the condition on lambda_m(W_2i). What the scale and c_2i decide is gamma, the
+Of the conditions, only alpha < lambda_min(Q) / (2 c_3 K_max) ties the gains: c_3 grows with Q, so Q's scale drops out
+of it, and a small scale always satisfies the condition on lambda_m(W_2i). What the scale and c_2i decide is gamma, the
 slope that the higher-order terms may have; `curve` searches both.
 """
 
@@ -93,7 +93,7 @@ def attitude_gains(system: System, airframe: Airframe, rate_bound: float) -> Att
 
 
 def certify(design: Design, weights: Weights, gains: AttitudeGains) -> Certificate:
-    """Proposition 3 for `design`, whose gains came from `weights`: conditions, constants and the gamma - psi_1 curve."""
+    """Proposition 3 for `design`, whose gains came from `weights`: conditions, constants, the gamma - psi_1 curve."""
     loop = _loop(design)
     abscissa = float(np.linalg.eigvals(loop.A).real.max())
     attitude = [_attitude(design.system.J[i], gains, i) for i in range(len(design.system.m))]
@@ -163,15 +163,16 @@ def _best(psi_1: float, choices: list[Lyapunov], attitude: list[Attitude], loop:
         room = choice.lambda_Q - 2.0 * choice.c_3 * loop.K_max * alpha
         if room <= 0:
             continue
-        for scale in np.logspace(-12, 2, 113):
+        for scale in np.logspace(2, -12, 113):  # from above: the largest scale that does nearly as well is kept
             off = -0.5 * scale * choice.c_3 * loop.B_1
-            Ws = [np.array([[scale * room / n, off], [off, a.lambda_W_2]]) for a in attitude]
-            lowest = [float(np.linalg.eigvalsh(W)[0]) for W in Ws]
+            first = scale * room / n
+            lowest = [0.5 * (first + a.lambda_W_2 - np.hypot(first - a.lambda_W_2, 2 * off)) for a in attitude]
             i = int(np.argmin(lowest))
             gamma = n * lowest[i] / (2.0 * scale * choice.higher_order)
-            if gamma > best.gamma:
+            if gamma > 1.01 * best.gamma:
                 condition = attitude[i].lambda_W_2 * scale * room / (n * off * off)
-                best = Point(psi_1, gamma, choice.name, float(scale), Ws[i], float(condition))
+                W = np.array([[first, off], [off, attitude[i].lambda_W_2]])
+                best = Point(psi_1, float(gamma), choice.name, float(scale), W, float(condition))
     return best
 
 

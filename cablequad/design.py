@@ -7,7 +7,6 @@ are [x, x_dot, phi, phi_dot, a_{k-1}, .. a_{k-d}] with phi_i (2) N the horizonta
 
 from typing import NamedTuple
 
-import control
 import numpy as np
 from scipy import linalg
 
@@ -102,6 +101,8 @@ def continuous_law(system: System, weights: Weights, max_thrust: Array) -> Desig
 
     Raises DesignError where the linear model cannot be stabilised, EquilibriumError where there is no equilibrium.
     """
+    import control  # here, as it brings matplotlib along
+
     n = len(system.m)
     A, B = state_space(system)
     Q, R = cost(system, weights)
@@ -119,6 +120,8 @@ def sampled_law(system: System, airframe: Airframe, weights: Weights, period: fl
 
     Raises DesignError where that loop cannot be stabilised, EquilibriumError where there is no equilibrium.
     """
+    import control  # here, as it brings matplotlib along
+
     n = len(system.m)
     A, B = flown_model(system, airframe, period, delay)
     Q_x, R = cost(system, weights)

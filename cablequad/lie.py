@@ -117,17 +117,19 @@ def orthonormalize(R: Array) -> None:
 
 
 @inlined
+def _times_columns(a: Array, B: Array) -> Triple:
+    """a'B for a (3,) and B (3, 3)."""
+    return (
+        a[0] * B[0, 0] + a[1] * B[1, 0] + a[2] * B[2, 0],
+        a[0] * B[0, 1] + a[1] * B[1, 1] + a[2] * B[2, 1],
+        a[0] * B[0, 2] + a[1] * B[1, 2] + a[2] * B[2, 2],
+    )
+
+
+@inlined
 def relative(A: Array, B: Array) -> tuple[Triple, Triple, Triple]:
     """The rows of A'B for rotations A, B (3, 3)."""
-    a00, a01, a02 = A[0, 0], A[0, 1], A[0, 2]
-    a10, a11, a12 = A[1, 0], A[1, 1], A[1, 2]
-    a20, a21, a22 = A[2, 0], A[2, 1], A[2, 2]
-    b0, b1, b2 = (B[0, 0], B[0, 1], B[0, 2]), (B[1, 0], B[1, 1], B[1, 2]), (B[2, 0], B[2, 1], B[2, 2])
-    return (
-        (a00 * b0[0] + a10 * b1[0] + a20 * b2[0], a00 * b0[1] + a10 * b1[1] + a20 * b2[1], a00 * b0[2] + a10 * b1[2] + a20 * b2[2]),
-        (a01 * b0[0] + a11 * b1[0] + a21 * b2[0], a01 * b0[1] + a11 * b1[1] + a21 * b2[1], a01 * b0[2] + a11 * b1[2] + a21 * b2[2]),
-        (a02 * b0[0] + a12 * b1[0] + a22 * b2[0], a02 * b0[1] + a12 * b1[1] + a22 * b2[1], a02 * b0[2] + a12 * b1[2] + a22 * b2[2]),
-    )  # fmt: skip
+    return _times_columns(A[:, 0], B), _times_columns(A[:, 1], B), _times_columns(A[:, 2], B)
 
 
 @jit

@@ -6,12 +6,10 @@ x = [dx_0, eta_0, C'xi_ij ...] as in `state.local`; M xddot + G x = B du with du
 from typing import NamedTuple
 
 import numpy as np
-from scipy import optimize
 
 from cablequad import lie
 from cablequad.system import System
 from cablequad.types import Array
-
 
 WEAKEST_SHARE = 0.05  # a tilted load is turned until its weakest cable pulls this share of an equal split
 TILT_STEP = np.radians(0.5)
@@ -68,8 +66,8 @@ def _hung_on_a_line(system: System, refusal: EquilibriumError) -> Equilibrium:
     foot = a + share * (b - a)
     if not 0.0 < share < 1.0:
         raise EquilibriumError(
-            f"cable {1 if share >= 1.0 else 2} would have to push for the load to hang on vertical cables: its centre of "
-            "mass lies beyond the other cable's attachment"
+            f"cable {1 if share >= 1.0 else 2} would have to push for the load to hang on vertical cables: its centre "
+            "of mass lies beyond the other cable's attachment"
         )
     if np.linalg.norm(foot) < 1e-9:
         raise refusal
@@ -101,6 +99,8 @@ def tension_split(system: System) -> Array:
         )
     if split.min() > 1e-9 * weight:
         return split
+    from scipy import optimize  # here, as few systems need it
+
     # the smallest-norm split pushes somewhere: take the one whose weakest cable pulls most
     n = len(system.m)
     result = optimize.linprog(
@@ -130,8 +130,8 @@ def equilibrium_forces(system: System, hung: Equilibrium) -> Array:
 def linearize(system: System) -> tuple[Array, Array, Array]:
     """(M, G, B) of shapes (D, D), (D, D), (D, 3 n), D = 6 + 2 sum n_i, around `equilibrium(system)`.
 
-    eta_0 are rotations in the payload's own frame, also where the load hangs tilted. Raises EquilibriumError where there
-    is no equilibrium.
+    eta_0 are rotations in the payload's own frame, also where the load hangs tilted. Raises EquilibriumError where
+    there is no equilibrium.
     """
     hung = equilibrium(system)
     M, G, B = _level(_seen_from(system, hung.R0), hung.tension)

@@ -6,6 +6,7 @@ import numpy as np
 
 from cablequad.attitude import Airframe
 from cablequad.design import Design, flown_model, state_space
+from cablequad.linear import linearize
 from cablequad.system import System
 from cablequad.types import Array
 
@@ -43,18 +44,24 @@ def coordinates(system: System) -> list[str]:
 
 
 def modes(system: System) -> list[Mode]:
-    """Open-loop modes with their PBH margins, the weakest first; conjugates are listed once."""
+    """Open-loop poles with their PBH margins, the weakest first; conjugates and repeated poles are listed once.
+
+    The motion is the one that the forces reach least at that pole: M^-1 times the velocity part of the left singular
+    vector of the smallest singular value.
+    """
     A, B = state_space(system)
-    D = len(A) // 2
-    values, vectors = np.linalg.eig(A)
+    M, _, _ = linearize(system)
+    D = len(M)
     names = coordinates(system)
+    scale = max(1.0, float(np.abs(np.linalg.eigvals(A)).max()))
     out: list[Mode] = []
-    for value, vector in zip(values, vectors.T, strict=True):
-        if value.imag < -1e-9:
+    for value in sorted(np.linalg.eigvals(A), key=lambda v: (abs(v), v.real)):
+        pole = 0.0 if abs(value) < 1e-5 * scale else value  # rigid motion: defective poles come out as its root
+        if value.imag < 0 or any(abs(pole - mode.pole) < 1e-5 * scale for mode in out):
             continue
-        pbh = float(np.linalg.svd(np.hstack([A - value * np.eye(2 * D), B.astype(complex)]), compute_uv=False)[-1])
-        share = np.abs(vector[:D])
-        out.append(Mode(complex(value), pbh, names[int(np.argmax(share))]))
+        left, sizes, _ = np.linalg.svd(np.hstack([A - pole * np.eye(2 * D), B.astype(complex)]))
+        reached_least = np.abs(np.linalg.solve(M, left[D:, -1]))
+        out.append(Mode(complex(pole), float(sizes[-1]), names[int(np.argmax(reached_least))]))
     return sorted(out, key=lambda mode: mode.pbh)
 
 
@@ -76,7 +83,7 @@ def margins(design: Design, airframe: Airframe, period: float, delay: int) -> Ma
     m = B.shape[1]
     if np.abs(np.linalg.eigvals(A - B @ K)).max() >= 1:
         return Margins(1.0, 1.0, 0.0, 0.0, "the loop itself is unstable", 0.0, (1.0, 1.0), 0.0, -1)
-    w = np.logspace(-2, np.log10(np.pi / period), 600)
+    w = np.logspace(-2, np.log10(np.pi / period), 300)
     I = np.eye(len(A))
     S = np.empty((len(w), m, m), dtype=complex)
     for k, z in enumerate(np.exp(1j * w * period)):

@@ -12,7 +12,6 @@ from cablequad.pilot import Measurement, Reference, Sample, first_memory, tick
 from cablequad.state import State
 from cablequad.types import Array
 
-
 HELD_TICKS = 200
 
 

@@ -1,7 +1,7 @@
 """`cablequad check`: what can be said of a scenario before anything flies."""
 
 import math
-from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,6 +18,7 @@ from cablequad.rollout import Timing, rollout
 from cablequad.state import State
 from cablequad.stiffness import stiffest_mode
 from missions import scenario as scenarios
+from missions.batch import spread
 from missions.scenario import Flight
 
 SETTLE_S, SETTLED_M, SETTLED_TILT = 15.0, 0.05, 0.02
@@ -26,12 +27,21 @@ FORCE_FACTORS = (0.1, 1.0, 10.0, 100.0, 1000.0, 10000.0)
 
 
 class Direction(NamedTuple):
-    """A family of initial states, and how far along it the flight still settles."""
+    """A family of initial states, and how far along it is tried."""
 
     name: str
     unit: str
-    limit: float  # the largest amplitude that is tried
-    start: Callable[[float], State]
+    limit: float
+
+
+DIRECTIONS = (
+    Direction("load displaced along x", "m", 64.0),
+    Direction("load displaced upwards", "m", 64.0),
+    Direction("load rolled", "deg", 170.0),
+    Direction("load yawed", "deg", 170.0),
+    Direction("cables curled, the vehicle's end by", "deg", 170.0),
+    Direction("vehicles pitched", "deg", 170.0),
+)
 
 
 def check(flight: Flight, quick: bool) -> dict[str, Any]:
@@ -83,7 +93,7 @@ def check(flight: Flight, quick: bool) -> dict[str, Any]:
     }
     out["certificate"] = _certificate(flight, out["nominal_flight"], quick)
     if not quick:
-        out["region_of_attraction"] = [_reach(design, flight, d) for d in _directions(flight, hung.R0)]
+        out["region_of_attraction"] = spread(partial(_reach, design, flight), range(len(DIRECTIONS)))
     return out
 
 
@@ -115,21 +125,21 @@ def _certificate(flight: Flight, nominal: dict[str, float], quick: bool) -> dict
     gains = attitude_gains(flight.system, flight.airframe, rate)
     c = certify(design, weights, gains)
     slope = higher_order_slope(design, 0.01, np.random.default_rng(flight.scenario.seed), 40 if quick else 150)
-    reach = [p.gamma / slope for p in c.curve]
+    reach = [float(p.gamma / slope) for p in c.curve]
     needed_psi, needed_z = nominal["largest_psi"], nominal["initial_z1"]
     conditions = {
         "A Hurwitz": [c.spectral_abscissa, "below", 0.0, c.hurwitz],
         "c_2i below its bound, W_2i positive": [
-            min(a.lambda_W_2 for a in c.attitude), "above", 0.0, all(a.lambda_W_2 > 0 for a in c.attitude),
+            min(a.lambda_W_2 for a in c.attitude), "above", 0.0, bool(all(a.lambda_W_2 > 0 for a in c.attitude)),
         ],
         "psi_1 for which the conditions hold covers the flight's largest Psi_i": [
-            c.psi_1_max, "above", needed_psi, c.psi_1_max > needed_psi,
+            c.psi_1_max, "above", needed_psi, bool(c.psi_1_max > needed_psi),
         ],
         "region |z_1| < r(gamma) covers the initial error": [
-            max(reach, default=0.0), "above", needed_z, max(reach, default=0.0) > needed_z,
+            max(reach, default=0.0), "above", needed_z, bool(max(reach, default=0.0) > needed_z),
         ],
     }  # fmt: skip
-    certified = all(holds for *_, holds in conditions.values())
+    certified = bool(all(holds for *_, holds in conditions.values()))
     a = c.attitude[0]
     out: dict[str, Any] = {
         "law": "paper's law with these weights and attitude gains",
@@ -178,9 +188,9 @@ def _advice(
     if psi < needed_psi:
         bandwidth = float(2 * flight.airframe.damping.max() * rate / math.sqrt(2 * psi))
         lines.append(
-            f"psi_1 may be at most {psi:.1e}, the flight reaches {needed_psi:.1e}: {needed_psi / psi:.0e} times too much. "
-            f"With these gains the attitude loops would need about {bandwidth:.0e} rad/s to follow {rate:.1f} rad/s that "
-            "closely, and vehicles that start in their commanded attitude"
+            f"psi_1 may be at most {psi:.1e}, the flight reaches {needed_psi:.1e}: {needed_psi / psi:.0e} times too "
+            f"much. With these gains the attitude loops would need about {bandwidth:.0e} rad/s to follow {rate:.1f} "
+            "rad/s that closely, and vehicles that start in their commanded attitude"
         )
     reach = max(p["radius"] for p in found["curve"])
     if reach < needed_z:
@@ -196,54 +206,54 @@ def _advice(
             rows.append((c.psi_1_max, factor))
         best, factor = max(rows)
         enough = "which would do" if best > needed_psi else "which is not enough either"
+        scanned = f"{FORCE_FACTORS[0]:g} .. {FORCE_FACTORS[-1]:g}"
         lines.append(
-            f"of the force weights {FORCE_FACTORS[0]:g} .. {FORCE_FACTORS[-1]:g} times the scenario's, {factor:g} allows the most: psi_1 = {best:.1e}, {enough}"
+            f"of the force weights {scanned} times the scenario's, {factor:g} allows the most: psi_1 = {best:.1e}, "
+            + enough
         )
     return lines
 
 
-def _directions(flight: Flight, R0: np.ndarray) -> list[Direction]:
-    """From rest at the target: displaced, load tilted, cables curled, vehicles tilted."""
+def _start(design: Design, flight: Flight, direction: int, amplitude: float) -> State:
+    """At rest at the target, but for one thing that is off by `amplitude`: displaced, tilted, curled or pitched."""
     system = flight.system
-    base = State.hanging(system, tuple(flight.scenario.target.position_m))._replace(R0=R0)
-    n, L = system.length.shape
-
-    def curled(degrees: float) -> State:
-        q = base.q.copy()
-        for i in range(n):
-            k = int(system.n_links[i])
-            angle = np.radians(degrees) * np.linspace(1.0, 0.1, k)
-            q[i, :k] = np.stack([-np.sin(angle), np.zeros(k), np.cos(angle)], axis=1)
-        return base._replace(q=q)
-
-    def tilted(axis: int, degrees: float) -> np.ndarray:
-        turn = np.zeros(3)
-        turn[axis] = np.radians(degrees)
-        return lie.exp(turn)
-
-    return [
-        Direction("load displaced along x", "m", 64.0, lambda a: base._replace(x0=base.x0 + [a, 0.0, 0.0])),
-        Direction("load displaced upwards", "m", 64.0, lambda a: base._replace(x0=base.x0 - [0.0, 0.0, a])),
-        Direction("load rolled", "deg", 170.0, lambda a: base._replace(R0=R0 @ tilted(0, a))),
-        Direction("load yawed", "deg", 170.0, lambda a: base._replace(R0=R0 @ tilted(2, a))),
-        Direction("cables curled, the vehicle's end by", "deg", 170.0, curled),
-        Direction("vehicles pitched", "deg", 170.0, lambda a: base._replace(R=np.tile(tilted(1, a), (n, 1, 1)))),
-    ]  # fmt: skip
+    base = State.hanging(system, np.array(flight.scenario.target.position_m))._replace(R0=design.hanging.R0)
+    n = len(system.m)
+    turn = np.radians(amplitude)
+    match direction:
+        case 0:
+            return base._replace(x0=base.x0 + np.array([amplitude, 0.0, 0.0]))
+        case 1:
+            return base._replace(x0=base.x0 - np.array([0.0, 0.0, amplitude]))
+        case 2:
+            return base._replace(R0=base.R0 @ lie.exp(np.array([turn, 0.0, 0.0])))
+        case 3:
+            return base._replace(R0=base.R0 @ lie.exp(np.array([0.0, 0.0, turn])))
+        case 4:
+            q = base.q.copy()
+            for i in range(n):
+                k = int(system.n_links[i])
+                angle = turn * np.linspace(1.0, 0.1, k)
+                q[i, :k] = np.stack([-np.sin(angle), np.zeros(k), np.cos(angle)], axis=1)
+            return base._replace(q=q)
+        case _:
+            return base._replace(R=np.tile(lie.exp(np.array([0.0, turn, 0.0])), (n, 1, 1)))
 
 
-def _reach(design: Design, flight: Flight, direction: Direction) -> dict[str, Any]:
+def _reach(design: Design, flight: Flight, direction: int) -> dict[str, Any]:
     """The largest amplitude that settles, by bisection from the largest that is tried."""
-    low, high = 0.0, direction.limit
-    if _settles(design, flight, direction.start(high)):
+    family = DIRECTIONS[direction]
+    low, high = 0.0, family.limit
+    if _settles(design, flight, _start(design, flight, direction, high)):
         low = high
     else:
         for _ in range(BISECTIONS):
             middle = 0.5 * (low + high)
-            if _settles(design, flight, direction.start(middle)):
+            if _settles(design, flight, _start(design, flight, direction, middle)):
                 low = middle
             else:
                 high = middle
-    return {"direction": direction.name, "unit": direction.unit, "settles_up_to": low, "tried_up_to": direction.limit}
+    return {"direction": family.name, "unit": family.unit, "settles_up_to": low, "tried_up_to": family.limit}
 
 
 def _settles(design: Design, flight: Flight, start: State) -> bool:
@@ -263,9 +273,8 @@ def _settles(design: Design, flight: Flight, start: State) -> bool:
 
 
 def show(result: dict[str, Any], console: Console) -> None:
-    """The result as a page."""
+    """The result as a page, without its heading."""
     e, c, m = result["equilibrium"], result["closed_loop"], result["margins"]
-    console.print(f"[bold]{result['scenario']}[/bold], law = {result['law']}")
     thrust = ", ".join(f"{t:.2f}" for t in e["thrust_N"])
     console.print(
         f"equilibrium: load tilted {e['load_tilt_deg']:.1f} deg; tensions at the load "
@@ -273,7 +282,8 @@ def show(result: dict[str, Any], console: Console) -> None:
         f"{100 * max(e['thrust_share']):.0f} % of the limit"
     )
     console.print(
-        f"stiffest link mode {result['stiffest_link_mode_rad_s']:.0f} rad/s, physics step {result['physics_step_us']} us"
+        f"stiffest link mode {result['stiffest_link_mode_rad_s']:.0f} rad/s, "
+        f"physics step {result['physics_step_us']} us"
     )
     table = Table(
         title="open loop: the modes that the vehicles move least (PBH: smallest singular value of [A - pole I, B])",
@@ -293,10 +303,10 @@ def show(result: dict[str, Any], console: Console) -> None:
         + f"least damping ratio {c['least_damping_ratio'] or 0:.3f}"
     )
     console.print(
-        f"margins: one input at a time gain x {m['gain_up']:.1f} up, x {m['gain_down']:.2f} down, phase {m['phase_deg']:.0f} "
-        f"deg ({m['worst_input']}), delay {m['delay_ms']:.0f} ms; all inputs at once disk {m['disk']:.2f} "
-        f"(gain x {m['disk_gain'][0]:.2f} .. {m['disk_gain'][1]:.2f}, phase {m['disk_phase_deg']:.0f} deg), "
-        f"{m['delay_ticks_all']} more ticks of delay"
+        f"margins: one input at a time gain x {m['gain_up']:.1f} up, x {m['gain_down']:.2f} down, "
+        f"phase {m['phase_deg']:.0f} deg ({m['worst_input']}), delay {m['delay_ms']:.0f} ms; all inputs at once disk "
+        f"{m['disk']:.2f} (gain x {m['disk_gain'][0]:.2f} .. {m['disk_gain'][1]:.2f}, "
+        f"phase {m['disk_phase_deg']:.0f} deg), {m['delay_ticks_all']} more ticks of delay"
     )
     _show_certificate(result["certificate"], console)
     if "region_of_attraction" in result:

@@ -97,14 +97,18 @@ def check(
     from missions.check import show
     from missions.scenario import ScenarioError
 
+    console = Console(width=None if sys.stdout.isatty() else 120, highlight=False, quiet=as_json)
     try:
-        result = examine(_load(scenario, None, None), quick)
+        flight = _load(scenario, None, None)
+        s = flight.scenario
+        console.print(f"[bold]{s.name}[/bold], law = {s.control.law}: {s.description}")
+        result = examine(flight, quick)
     except ScenarioError as error:
         _usage(str(error))
     if as_json:
         print(json.dumps(result))
     else:
-        show(result, Console(width=None if sys.stdout.isatty() else 120, highlight=False))
+        show(result, console)
 
 
 @app.command()

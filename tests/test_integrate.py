@@ -1,5 +1,7 @@
 """The step: its order, its manifolds, and an independent integrator."""
 
+import os
+
 import numpy as np
 import pytest
 from conftest import irregular, random_state
@@ -10,6 +12,8 @@ from cablequad.dynamics import accelerations
 from cablequad.integrate import Command, step
 from cablequad.state import State
 from cablequad.system import System
+
+NUMBA_OFF = os.environ.get("NUMBA_DISABLE_JIT") == "1"
 
 
 def distance(a: State, b: State) -> float:
@@ -102,3 +106,25 @@ def test_a_step_leaves_its_arguments_alone() -> None:
     before = state.copy()
     step(system, state, Command(np.full(4, 9.0), np.zeros((4, 3))), 1e-3)
     assert distance(state, before) == 0.0
+
+
+def test_a_step_allocates_nothing() -> None:
+    from numba.core.runtime import _nrt_python, rtsys
+
+    from cablequad.integrate import advance, scratch
+
+    system = irregular()
+    state = random_state(system, np.random.default_rng(4))
+    work = scratch(system, state)
+    command = Command(np.full(3, 9.0), np.zeros((3, 3)))
+    if NUMBA_OFF:
+        pytest.skip("without the compiler there is nothing to count")
+    advance(system, state, command, 1e-4, 1, work)
+    _nrt_python.memsys_enable_stats()
+
+    def allocations(steps: int) -> int:
+        before = rtsys.get_allocation_stats().alloc
+        advance(system, state, command, 1e-4, steps, work)
+        return int(rtsys.get_allocation_stats().alloc - before)
+
+    assert allocations(500) == allocations(1)  # what remains are the arguments of the call

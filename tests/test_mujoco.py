@@ -6,7 +6,6 @@ import pytest
 from conftest import irregular
 
 from benchmarks.peer import apply_forces, model_of, set_state
-
 from cablequad import lie
 from cablequad.dynamics import accelerations
 from cablequad.integrate import Command, step
