@@ -84,7 +84,9 @@ class Recorder:
         metadata: Mapping[str, Mapping[str, str]],
         attachments: Sequence[Attachment] = (),
         epoch_ns: int = EPOCH_NS,
+        with_truth: bool = False,
     ) -> None:
+        """`with_truth`: a simulator will tell its state, so frames for viewers come from it and not from decisions."""
         self.path = path
         self.part = path.with_name(path.name + ".part")
         self.error: str | None = None
@@ -93,7 +95,7 @@ class Recorder:
         self._queue: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._channels: dict[str, int] = {}
         self._last_tf_ns = -TF_NS
-        self._with_truth = False
+        self._with_truth = with_truth
         self._begun = time.monotonic()
         self._good_offset = 0
         if path.exists():
@@ -225,7 +227,6 @@ class Recorder:
         self._writer.add_message(channel, self._epoch_ns + boot_us * 1000, message.SerializeToString(), time.time_ns())
 
     def _truth(self, boot_us: int, held: bool, motion: Motion) -> None:
-        self._with_truth = True
         self._write("/plant/state", boot_us, encode.plant(boot_us, held, motion))
         self._frames(boot_us, motion)
 

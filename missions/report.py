@@ -74,9 +74,10 @@ def table(s: Summary) -> None:
         jitter = f"{s.jitter_us['p50']:.0f}, {s.jitter_us['p99']:.0f}, {s.jitter_us['max']:.0f} us"
         out.add_row("tick jitter p50, p99, max", jitter, "")
     out.add_row("missed deadlines", str(s.missed_deadlines), "")
-    out.add_row("log", "", s.log or "-")
-    out.add_row("replay", "", s.replay or "-")
-    Console(width=None if sys.stdout.isatty() else 120, highlight=False).print(out)
+    console = Console(width=None if sys.stdout.isatty() else 120, highlight=False)
+    console.print(out)
+    for name, path in (("log", s.log), ("replay", s.replay)):
+        console.print(f"{name + ':':8}{path or '-'}", soft_wrap=True)
 
 
 def _of(value: float | None, form: str) -> str:

@@ -298,6 +298,7 @@ def _recorder(flight: Flight, design: Design, options: Options) -> Recorder:
             Attachment("scenario.json", "application/json", s.model_dump_json(indent=1).encode()),
         ],
         s.epoch_s * 10**9,
+        with_truth=not options.connect,
     )
 
 

@@ -40,7 +40,7 @@ def write(path: Path, ticks: int, epoch_ns: int = recorders.EPOCH_NS) -> Recorde
     """A recorder that has been given `ticks` instants of everything."""
     out = Recorder(
         path, MODEL, {"run": {"seed": "1"}, "model": drawn_model(SYSTEM, MODEL.box, MODEL.max_thrust, (0.0, 0.0, 0.0))},
-        [Attachment("scenario.toml", "application/toml", b"name = 'x'")], epoch_ns,
+        [Attachment("scenario.toml", "application/toml", b"name = 'x'")], epoch_ns, with_truth=True,
     )  # fmt: skip
     memory = first_memory(DESIGN)
     out.event(0, "release", "all", "t = 0")
@@ -246,3 +246,21 @@ def test_the_queue_takes_a_record_quickly_while_the_writer_works(tmp_path: Path)
         costs.append(time.perf_counter() - begun)
     out.finish()
     assert np.median(costs) < 1e-3
+
+
+def test_frames_for_viewers_come_from_one_source_however_the_threads_run(tmp_path: Path) -> None:
+    """A decision that is written before the first truth must not be drawn: logs of equal runs would differ."""
+    out = Recorder(
+        tmp_path / "o.mcap",
+        MODEL,
+        {"model": drawn_model(SYSTEM, MODEL.box, MODEL.max_thrust, (0.0, 0.0, 0.0))},
+        with_truth=True,
+    )
+    memory = first_memory(DESIGN)
+    state = State.hanging(SYSTEM, (0.5, 0.0, 0.0))
+    _, sample = tick(memory, Measurement(0.0, state), Reference(np.zeros(3), np.zeros(3)), DESIGN)
+    out.decided(4000, sample, [1.0] * 4, True)
+    out.truth(4000, False, motion(0.25))
+    frames = [e for e in entries(out.finish()) if e.topic == "/tf"]
+    assert len(frames) == 1
+    assert np.float64(0.25).tobytes() in frames[0].data
