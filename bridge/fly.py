@@ -226,7 +226,10 @@ def _let_go(flight: _Flight) -> None:
     try:
         while not fleet.at_rest and link.now() < min(deadline, flight.heard_at + SILENT_S):
             flight.step()
-        flight._process()
+        if (
+            not fleet.at_rest
+        ):  # what half a tick said is kept where something went wrong; else a run ends on a whole one
+            flight._process()
     except KeyboardInterrupt:
         return
     record_text = "every vehicle holds by itself" if fleet.at_rest else "not every vehicle confirmed that it holds"

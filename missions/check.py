@@ -334,6 +334,16 @@ def _show_certificate(c: dict[str, Any], console: Console) -> None:
         f"K_max {c['K_max']:.2f}, B_1 {c['B_1']:.2f} N, B_2 {max(c['B_2']):.3f}, c_2 {min(c['c_2']):.2f} of at most "
         f"{min(c['c_2_bound']):.2f}, lambda_m(W_2) {min(c['lambda_W_2']):.3f}"
     )
+    title = "Lyapunov equation for some Q (P and c_3 scale with Q, alpha does not)"
+    table = Table(title=title, title_justify="left")
+    for name in ("Q", "lambda_min(Q)", "|P|", "|P B_d|", "c_3", "alpha below"):
+        table.add_column(name, justify="right")
+    for q in c["lyapunov"]:
+        table.add_row(
+            q["Q"], f"{q['lambda_min_Q']:.2g}", f"{q['norm_P']:.4g}", f"{q['norm_P_B_d']:.4g}", f"{q['c_3']:.4g}",
+            f"{q['alpha_max']:.2e}",
+        )  # fmt: skip
+    console.print(table)
     table = Table(title="the gamma - psi_1 curve", title_justify="left")
     for name in ("psi_1", "largest gamma", "radius |z_1|", "Q", "scale of Q", "lambda_m(W_2) over needed"):
         table.add_column(name, justify="right")

@@ -7,7 +7,9 @@ import platform
 import signal
 import subprocess
 import sys
+import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -62,8 +64,12 @@ class Progress:
 class _Watch:
     """Passes everything on to the recorder and keeps the figures."""
 
-    def __init__(self, recorder: Recorder) -> None:
+    def __init__(self, recorder: Recorder, n_links: np.ndarray) -> None:
         self.recorder = recorder
+        self._n_links = n_links
+        self._truths: deque[Truth] = deque()
+        self._lock = threading.Lock()
+        self._answered_us = 0
         self.track = Track()
         self.released = False
         self.ended = False
@@ -78,6 +84,7 @@ class _Watch:
 
     def decided(self, boot_us: int, sample: Sample, tension: list[float], flying: bool) -> None:
         self.recorder.decided(boot_us, sample, tension, flying)
+        self._tell_truth(boot_us)
         if flying and not self.ended:
             self.track.decided(sample)
             if not self._truth_tension:
@@ -90,13 +97,32 @@ class _Watch:
     def perf(self, boot_us: int, turnaround_s: float, ticks: int) -> None:
         self.recorder.perf(boot_us, turnaround_s, ticks)
 
-    def truth(self, truth: Truth, n_links: np.ndarray) -> None:
+    def truth(self, truth: Truth) -> None:
+        """Take the simulator's state; it is written when the tick it belongs to has been answered.
+
+        The simulator is a tick ahead when a flight ends, or not, as threads happen to run: what nobody answered is left
+        out, so that equal runs have equal logs.
+        """
+        with self._lock:
+            self._truths.append(truth)
+
+    def finish(self, whole: bool) -> None:
+        """Write the truth that came late, all of it where the run is not `whole`; called when the simulator has ended."""
+        self._tell_truth(self._answered_us if whole else 2**62)
+
+    def _tell_truth(self, answered_us: int) -> None:
+        self._answered_us = answered_us
+        with self._lock:
+            while self._truths and self._truths[0].boot_us <= answered_us:
+                self._write_truth(self._truths.popleft())
+
+    def _write_truth(self, truth: Truth) -> None:
         motion = Motion(truth.state, truth.x, truth.v, truth.tension, truth.thrust)
         self.recorder.truth(truth.boot_us, truth.held, motion)
         if not truth.held and not self.ended:
             if not self._truth_tension:
                 self._truth_tension, self.track.min_tension_N = True, math.inf
-            used = np.arange(truth.tension.shape[1])[None, :] < n_links[:, None]
+            used = np.arange(truth.tension.shape[1])[None, :] < self._n_links[:, None]
             self.track.tension(float(truth.tension[used].min()))
             self._tell_slack(truth.boot_us, np.where(used, truth.tension, np.inf))
 
@@ -132,16 +158,15 @@ def _run(flight: Flight, design: Design, options: Options, progress: Progress) -
     before = sys.getswitchinterval()
     try:
         recorder = _recorder(flight, design, options)
-        watch = _Watch(recorder)
+        watch = _Watch(recorder, flight.system.n_links)
         if not options.connect:
             values = settings(
                 flight, lockstep=math.isinf(options.speed), await_controller=True, speed=options.speed,
                 port_offset=options.port_offset, host=HOST,
             )  # fmt: skip
-            n_links = flight.system.n_links
             simulator = Simulator(
                 values,
-                lambda truth: watch.truth(truth, n_links),
+                watch.truth,
                 lambda e: watch.recorder.event(e.boot_us, f"sitl-{e.kind}", e.subject, e.text),
             )
             progress.say("starting the vehicles (the first start on a machine compiles the model: about half a minute)")
@@ -157,6 +182,7 @@ def _run(flight: Flight, design: Design, options: Options, progress: Progress) -
                 outcome, timing = _fly(flight, design, link, watch, simulator, interrupted, progress)
         if simulator is not None:
             simulator.stop()
+        watch.finish(outcome.completed)
         missed = 0
         if simulator is not None and simulator.report is not None:
             missed = simulator.report.missed_deadlines + simulator.report.missed_answers
