@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+from scipy import linalg
 
 from cablequad.attitude import Airframe
 from cablequad.design import Design, flown_model, state_space
@@ -83,11 +84,12 @@ def margins(design: Design, airframe: Airframe, period: float, delay: int) -> Ma
     m = B.shape[1]
     if np.abs(np.linalg.eigvals(A - B @ K)).max() >= 1:
         return Margins(1.0, 1.0, 0.0, 0.0, "the loop itself is unstable", 0.0, (1.0, 1.0), 0.0, -1)
-    w = np.logspace(-2, np.log10(np.pi / period), 300)
-    I = np.eye(len(A))
+    w = _frequencies(design.system, period)
+    T, Z = linalg.schur(A, output="complex")  # one triangular solve a frequency
+    B_T, K_T, I = Z.conj().T @ B, K @ Z, np.eye(len(A))
     S = np.empty((len(w), m, m), dtype=complex)
     for k, z in enumerate(np.exp(1j * w * period)):
-        S[k] = np.linalg.inv(np.eye(m) + K @ np.linalg.solve(z * I - A, B))
+        S[k] = np.linalg.inv(np.eye(m) + K_T @ linalg.solve_triangular(z * I - T, B_T, check_finite=False))
     names = [f"vehicle {i + 1} {axis}" for i in range(m // 3) for axis in "xyz"]
     per_input = [_siso(1.0 / S[:, i, i] - 1.0, w) for i in range(m)]
     worst = int(np.argmin([p[2] for p in per_input]))
@@ -100,6 +102,17 @@ def margins(design: Design, airframe: Airframe, period: float, delay: int) -> Ma
     return Margins(
         up, down, per_input[worst][2], delay_ms, names[worst], float(disk), (1 / factor, factor), float(phase), extra
     )
+
+
+def _frequencies(system: System, period: float) -> Array:
+    """rad/s up to Nyquist, crowded around the undamped modes, where the loop gain changes fastest."""
+    A, _ = state_space(system)
+    own = np.abs(np.linalg.eigvals(A).imag)
+    own = np.unique(np.round(own[own > 1e-3], 3))
+    near = np.concatenate([-np.logspace(-1, -5, 12), np.logspace(-5, -1, 12)])
+    nyquist = np.pi / period
+    w = np.concatenate([np.logspace(-2, np.log10(nyquist), 250), np.outer(own, 1.0 + near).ravel()])
+    return np.unique(w[w <= nyquist])
 
 
 def _full(K: Array, A: Array) -> Array:

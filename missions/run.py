@@ -107,7 +107,7 @@ class _Watch:
             self._truths.append(truth)
 
     def finish(self, whole: bool) -> None:
-        """Write the truth that came late, all of it where the run is not `whole`; called when the simulator has ended."""
+        """Write the truth that came late, all of it where the run is not `whole`. The simulator has ended by then."""
         self._tell_truth(self._answered_us if whole else 2**62)
 
     def _tell_truth(self, answered_us: int) -> None:
