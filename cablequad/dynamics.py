@@ -39,7 +39,8 @@ def accelerations(system: System, state: State, force: Array) -> Accelerations:
     """Accelerations and tensions of `state` under `force` (n, 3) N, W."""
     n, L = system.length.shape
     out = Accelerations(np.empty(3), np.empty(3), np.zeros((n, L, 3)), np.zeros((n, L)))
-    accelerate(system, state, np.ascontiguousarray(force, dtype=float), out, workspace(system))
+    at = State(*(np.ascontiguousarray(a, dtype=float) for a in state))
+    accelerate(system, at, np.ascontiguousarray(force, dtype=float), out, workspace(system))
     return out
 
 

@@ -55,7 +55,8 @@ class Scratch(NamedTuple):
 def step(system: System, state: State, command: Command, h: float) -> State:
     """The state `h` seconds later under `command` held constant. Order 4; |q| = 1 and R'R = I to rounding."""
     out = state.copy()
-    advance(system, out, command, h, 1, scratch(system, out))
+    held = Command(*(np.ascontiguousarray(a, dtype=float) for a in command))
+    advance(system, out, held, h, 1, scratch(system, out))
     return out
 
 

@@ -38,8 +38,8 @@ class State(NamedTuple):
         )
 
     def copy(self) -> "State":
-        """The same values in arrays of their own."""
-        return State(*(a.copy() for a in self))
+        """The same values in arrays of their own, contiguous and of floats whatever they came in."""
+        return State(*(np.array(a, dtype=float, order="C") for a in self))
 
 
 class Error(NamedTuple):

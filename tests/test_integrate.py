@@ -128,3 +128,17 @@ def test_a_step_allocates_nothing() -> None:
         return int(rtsys.get_allocation_stats().alloc - before)
 
     assert allocations(500) == allocations(1)  # what remains are the arguments of the call
+
+
+def test_a_state_of_integers_lists_and_views_moves_like_one_of_floats() -> None:
+    system = System.paper(1)
+    whole = State.hanging(system, (1.0, 2.0, 3.0))
+    odd = State(
+        [1, 2, 3], np.zeros(3, dtype=int), np.eye(3, dtype=int), np.zeros(6)[::2],  # type: ignore[arg-type]
+        whole.q.astype(np.float32), np.asfortranarray(whole.omega), whole.R.tolist(), np.zeros((4, 3)),  # type: ignore[arg-type]
+    )  # fmt: skip
+    plain, other = Command(np.full(4, 9.0), np.zeros((4, 3))), Command([9, 9, 9, 9], [[0, 0, 0]] * 4)  # type: ignore[arg-type]
+    assert distance(step(system, whole, plain, 1e-3), step(system, odd, other, 1e-3)) == 0.0
+    force = np.tile([0, 0, -9], (4, 1))
+    a, b = accelerations(system, whole, force.astype(float)), accelerations(system, odd, force)
+    np.testing.assert_array_equal(a.tension, b.tension)
