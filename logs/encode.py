@@ -28,6 +28,7 @@ class Model(NamedTuple):
     system: System
     box: tuple[float, float, float]  # m, edges of the payload
     max_thrust: tuple[float, ...]  # N
+    target_quat_wxyz: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)  # the load's attitude at the target
 
 
 class Motion(NamedTuple):
@@ -77,12 +78,12 @@ def control(boot_us: int, sample: Sample, tension: Sequence[float], flying: bool
     )  # fmt: skip
 
 
-def reference(boot_us: int, sample: Sample) -> Any:
+def reference(boot_us: int, model: Model, sample: Sample) -> Any:
     """/control/reference."""
     r = sample.reference
     return pb.ControlReference(
         sim_time_ns=boot_us * 1000, payload_position=r.x0, payload_velocity=r.v0,
-        payload_attitude=(1.0, 0.0, 0.0, 0.0), link_direction=(0.0, 0.0, 1.0),
+        payload_attitude=model.target_quat_wxyz, link_direction=(0.0, 0.0, 1.0),
     )  # fmt: skip
 
 

@@ -251,7 +251,7 @@ class Recorder:
 
     def _decided(self, boot_us: int, sample: Sample, tension: list[float], flying: bool) -> None:
         self._write("/control/state", boot_us, encode.control(boot_us, sample, tension, flying))
-        self._write("/control/reference", boot_us, encode.reference(boot_us, sample))
+        self._write("/control/reference", boot_us, encode.reference(boot_us, self._model, sample))
         if not self._with_truth:
             thrust: Array = sample.f
             self._frames(boot_us, encode.measured_motion(self._model, sample, tension, thrust))

@@ -141,9 +141,17 @@ def _bodies(out: rr.RecordingStream, m: Motion, model: dict) -> None:
     out.send_columns("world/payload", when, rr.Transform3D.columns(translation=m.x0, quaternion=_xyzw(m.quat0)))
     out.log("world/trail", rr.LineStrips3D([m.x0], colors=[(170, 175, 205)], radii=[0.006]), static=True)
     target = np.array(model["target_m"])
+    turned = rr.Quaternion(xyzw=_xyzw(np.array(model["target_quat_wxyz"])))
     out.log(
         "world/target",
-        rr.Boxes3D(half_sizes=[half], centers=[target], colors=[(120, 220, 120)], radii=[0.006], labels=["target"]),
+        rr.Boxes3D(
+            half_sizes=[half],
+            centers=[target],
+            quaternions=[turned],
+            colors=[(120, 220, 120)],
+            radii=[0.006],
+            labels=["target"],
+        ),
         static=True,
     )
     for i in range(m.quads.shape[1]):

@@ -25,9 +25,9 @@ from bridge.link import TRACKER_PORTS, Endpoint, Link, LinkError, Received, Sent
 from bridge.wire.messages import attitude_target, decode
 from bridge.wire.messages import encode as encode_message
 from bridge.wire.values import PayloadState, VehicleAttitude
+from cablequad import lie
 from cablequad.design import Design
 from cablequad.pilot import Measurement, Reference, Sample, first_memory, tick
-from cablequad.system import System
 from logs import encode
 from logs.encode import Model, Motion
 from logs.recorder import Attachment, Recorder, RecorderError
@@ -170,7 +170,7 @@ def _run(flight: Flight, design: Design, options: Options, progress: Progress) -
                 lambda e: watch.recorder.event(e.boot_us, f"sitl-{e.kind}", e.subject, e.text),
             )
             progress.say("starting the vehicles (the first start on a machine compiles the model: about half a minute)")
-        _warm_up(design, flight, _model(flight))
+        _warm_up(design, flight, _model(flight, design))
         sys.setswitchinterval(SWITCH_S)
         gc.collect()
         gc.freeze()  # what is loaded by now need not be looked through again in mid-flight
@@ -296,7 +296,7 @@ def _recorder(flight: Flight, design: Design, options: Options) -> Recorder:
     while path.exists() or path.with_name(path.name + ".part").exists():
         serial += 1
         path = options.out / f"{s.name}-{stamp}-{serial}.mcap"
-    model = _model(flight)
+    model = _model(flight, design)
     about = {
         "scenario": s.name,
         "seed": str(s.seed),
@@ -316,7 +316,7 @@ def _recorder(flight: Flight, design: Design, options: Options) -> Recorder:
         model,
         {
             "run": about,
-            "model": drawn_model(flight.system, model.box, model.max_thrust, s.target.position_m),
+            "model": drawn_model(model, s.target.position_m),
             "gains": {"law": s.control.law, **{key: json.dumps(value) for key, value in gains.items()}},
         },
         [
@@ -328,23 +328,24 @@ def _recorder(flight: Flight, design: Design, options: Options) -> Recorder:
     )
 
 
-def _model(flight: Flight) -> Model:
+def _model(flight: Flight, design: Design) -> Model:
     x, y, z = flight.scenario.payload.box_m
-    return Model(flight.system, (x, y, z), tuple(flight.airframe.max_thrust.tolist()))
+    w, a, b, c = lie.quat_from_rotation(design.hanging.R0).tolist()
+    return Model(flight.system, (x, y, z), tuple(flight.airframe.max_thrust.tolist()), (w, a, b, c))
 
 
-def drawn_model(
-    system: System, box_m: Sequence[float], max_thrust_N: Sequence[float], target_m: Sequence[float]
-) -> dict[str, str]:
+def drawn_model(model: Model, target_m: Sequence[float]) -> dict[str, str]:
     """The `model` metadata record: what a replay needs to draw the system, each value as JSON."""
+    system = model.system
     values = {
         "n": len(system.m),
         "n_links": system.n_links.tolist(),
         "lengths_m": system.length.tolist(),
         "attachments_m": system.rho.tolist(),
-        "box_m": list(box_m),
-        "max_thrust_N": list(max_thrust_N),
+        "box_m": list(model.box),
+        "max_thrust_N": list(model.max_thrust),
         "target_m": list(target_m),
+        "target_quat_wxyz": list(model.target_quat_wxyz),
     }
     return {key: json.dumps(value) for key, value in values.items()}
 

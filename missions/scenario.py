@@ -13,7 +13,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from cablequad import lie
 from cablequad.attitude import Airframe
 from cablequad.design import Design, DesignError, Weights, continuous_law, sampled_law
-from cablequad.linear import EquilibriumError
+from cablequad.linear import EquilibriumError, equilibrium
 from cablequad.state import State
 from cablequad.stiffness import STABLE, stable_substep
 from cablequad.system import Cable, Payload, Quadrotor, System, box_inertia
@@ -95,7 +95,7 @@ class InitialTable(_Table):
     """[initial]"""
 
     position_m: Vector
-    attitude_deg: Vector = [0.0, 0.0, 0.0]
+    attitude_deg: Vector | None = None  # as the load hangs at rest
     velocity_m_s: Vector = [0.0, 0.0, 0.0]
 
 
@@ -321,7 +321,7 @@ def _flight(s: Scenario, source: str) -> Flight:
     initial = State.hanging(system, (0.0, 0.0, 0.0))._replace(
         x0=np.array(s.initial.position_m),
         v0=np.array(s.initial.velocity_m_s),
-        R0=rotation_deg(s.initial.attitude_deg),
+        R0=_hanging(system) if s.initial.attitude_deg is None else rotation_deg(s.initial.attitude_deg),
         R=np.stack([rotation_deg(v.initial_attitude_deg) for v in s.vehicles]),
     )
     for i, v in enumerate(s.vehicles):
@@ -342,6 +342,14 @@ def _flight(s: Scenario, source: str) -> Flight:
             f"{STABLE / (physics_us * 1e-6):g} can be simulated"
         )
     return Flight(s, source, system, airframe, initial, control_us, physics_us, tick_us, notes)
+
+
+def _hanging(system: System) -> np.ndarray:
+    """The attitude of the load at rest; level where there is none, which the design then says."""
+    try:
+        return equilibrium(system).R0
+    except EquilibriumError:
+        return np.eye(3)
 
 
 def _explain(error: ValidationError) -> str:

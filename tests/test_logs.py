@@ -39,7 +39,7 @@ def motion(x: float) -> Motion:
 def write(path: Path, ticks: int, epoch_ns: int = recorders.EPOCH_NS) -> Recorder:
     """A recorder that has been given `ticks` instants of everything."""
     out = Recorder(
-        path, MODEL, {"run": {"seed": "1"}, "model": drawn_model(SYSTEM, MODEL.box, MODEL.max_thrust, (0.0, 0.0, 0.0))},
+        path, MODEL, {"run": {"seed": "1"}, "model": drawn_model(MODEL, (0.0, 0.0, 0.0))},
         [Attachment("scenario.toml", "application/toml", b"name = 'x'")], epoch_ns, with_truth=True,
     )  # fmt: skip
     memory = first_memory(DESIGN)
@@ -221,9 +221,7 @@ def test_a_replay_passes_reruns_own_verification(tmp_path: Path) -> None:
 def test_a_log_without_a_simulators_truth_is_replayed_from_what_was_measured(tmp_path: Path) -> None:
     from logs import replay
 
-    out = Recorder(
-        tmp_path / "m.mcap", MODEL, {"model": drawn_model(SYSTEM, MODEL.box, MODEL.max_thrust, (0.0, 0.0, 0.0))}
-    )
+    out = Recorder(tmp_path / "m.mcap", MODEL, {"model": drawn_model(MODEL, (0.0, 0.0, 0.0))})
     memory = first_memory(DESIGN)
     for k in range(100):
         state = State.hanging(SYSTEM, (0.01 * k, 0.0, 0.0))
@@ -253,7 +251,7 @@ def test_frames_for_viewers_come_from_one_source_however_the_threads_run(tmp_pat
     out = Recorder(
         tmp_path / "o.mcap",
         MODEL,
-        {"model": drawn_model(SYSTEM, MODEL.box, MODEL.max_thrust, (0.0, 0.0, 0.0))},
+        {"model": drawn_model(MODEL, (0.0, 0.0, 0.0))},
         with_truth=True,
     )
     memory = first_memory(DESIGN)

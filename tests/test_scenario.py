@@ -1,8 +1,14 @@
 """Scenario files: what ships is valid, what is wrong is named in one line."""
 
+from pathlib import Path
+
+import numpy as np
 import pytest
 from conftest import cablequad
 
+from cablequad import lie
+from cablequad.pilot import Reference
+from cablequad.rollout import Timing, rollout
 from missions import scenario
 from missions.scenario import ScenarioError
 
@@ -46,10 +52,10 @@ WRONG = [
 
 @pytest.mark.parametrize(("right", "wrong", "text"), WRONG, ids=[w[2][:40] for w in WRONG])
 def test_a_wrong_scenario_is_refused_in_one_line_that_names_the_key(
-    right: str, wrong: str, text: str, tmp_path: pytest.TempPathFactory
+    right: str, wrong: str, text: str, tmp_path: Path
 ) -> None:
     assert right in CASE_1
-    path = tmp_path / "mine.toml"  # type: ignore[operator]
+    path = tmp_path / "mine.toml"
     path.write_text(CASE_1.replace(right, wrong, 1))
     with pytest.raises(ScenarioError) as error:
         scenario.design(scenario.load(str(path)))
@@ -92,3 +98,19 @@ def test_help_is_quick_because_nothing_heavy_is_imported() -> None:
     code = "import sys; import missions.cli; print([m for m in ('numpy', 'numba', 'rerun', 'control') if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_a_load_that_hangs_tilted_starts_as_it_hangs_and_flies(tmp_path: Path) -> None:
+    """Three cables with the centre of mass outside: 40 degrees of tilt, and no number in the file says so."""
+    head, tail = CASE_1[: CASE_1.index("[[vehicles]]")], CASE_1[CASE_1.index("[initial]") :]
+    rho = [(0.4, -0.4, -0.1), (0.4, 0.4, -0.1), (-0.2, -0.4, -0.1)]
+    vehicles = "".join(f"[[vehicles]]\nattachment_m = {list(r)}\n" for r in rho)
+    path = tmp_path / "tilted.toml"
+    path.write_text(head + vehicles + tail.replace("attitude_deg = [0.0, 0.0, 0.0]", ""))
+    flight = scenario.load(str(path))
+    design = scenario.design(flight)
+    target = Reference(np.array(flight.scenario.target.position_m), np.zeros(3))
+    samples = list(rollout(design, flight.airframe, lambda _: target, flight.initial, Timing(0.004, 4), 2500))
+    assert np.degrees(np.linalg.norm(lie.log(design.hanging.R0))) > 30
+    assert np.linalg.norm(samples[-1].error.x[:6]) < 0.02
+    assert min(float(s.f.min()) for s in samples) > 0
