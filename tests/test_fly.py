@@ -350,3 +350,29 @@ def test_replay_saves_an_rrd_also_from_a_cut_log(case_1: dict, tmp_path: Path) -
     code, _, err = cablequad("replay", str(tmp_path / "none.mcap"), "--save", str(tmp_path / "x.rrd"))
     assert code == 1
     assert "No such file" in err
+
+
+def test_case_2_reports_slack_with_time_and_cable(tmp_path: Path, offset: int) -> None:
+    """Its curled cables whip: links that push are events, and their tensions stand in the log as they are."""
+    summary = flown(
+        "paper-case-2", "--duration", "1", "--no-replay", "--out", str(tmp_path), "--port-offset", str(offset)
+    )
+    run = read(Path(summary["log"]))
+    slack = [e for e in run.events if e.kind == "slack"]
+    assert slack
+    assert all(e.subject.startswith("cable ") and "pushes with" in e.text for e in slack)
+    assert any(e.kind == "taut" for e in run.events)
+    plant = run.columns["/plant/state"]
+    smallest = plant["tension"][~plant["held"]].min()
+    assert smallest < 0
+    assert summary["min_tension_N"] == pytest.approx(smallest)
+
+
+@pytest.mark.skipif(not list(Path("/usr/share/vulkan").glob("icd.d/*")), reason="no Vulkan driver to render with")
+def test_a_replay_is_pictured_without_a_screen_and_no_view_reports_an_error(case_1: dict, tmp_path: Path) -> None:
+    png = tmp_path / "at-2.png"
+    code, out, err = cablequad("replay", case_1["log"], "--screenshot", str(png), "--at", "2")
+    assert code == 0, err
+    assert out.strip() == str(png)
+    assert png.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    assert png.stat().st_size > 100_000
