@@ -17,8 +17,12 @@ _TYPES: dict[str, Any] = {
     "/control/state": pb.ControlState,
     "/control/reference": pb.ControlReference,
     "/event": pb.Event,
+    "/plant/event": pb.Event,
     "/perf": pb.Perf,
 }
+
+
+EVENTS = ("/event", "/plant/event")
 
 
 class LogError(Exception):
@@ -111,10 +115,11 @@ def read(path: Path) -> Run:
         if kind is None:
             continue
         message = kind.FromString(entry.data)
-        if entry.topic == "/event":
+        if entry.topic in EVENTS:
             events.append(Happening(message.sim_time_ns, message.kind, message.subject, message.text))
         else:
             rows.setdefault(entry.topic, []).append(message)
+    events.sort(key=lambda event: event.time_ns)
     columns = {topic: _columns(messages) for topic, messages in rows.items()}
     metadata: dict[str, dict[str, str]] = {}
     attachments: dict[str, bytes] = {}

@@ -70,6 +70,8 @@ _TYPES: dict[str, Any] = {
     "/scene": SceneUpdate,
     "/log": Log,
     "/event": pb.Event,
+    "/plant/event": pb.Event,
+    "/plant/log": Log,
     "/perf": pb.Perf,
 }
 
@@ -138,6 +140,10 @@ class Recorder:
     def event(self, boot_us: int, kind: str, subject: str, text: str) -> None:
         """Something worth a line."""
         self._put(lambda: self._event(boot_us, kind, subject, text))
+
+    def plant_event(self, boot_us: int, kind: str, subject: str, text: str) -> None:
+        """A line about the simulator's side: topics of its own, as its order against ours depends on the threads."""
+        self._put(lambda: self._event(boot_us, kind, subject, text, "/plant"))
 
     def perf(self, boot_us: int, turnaround_s: float, ticks: int) -> None:
         """Wall-clock figures."""
@@ -256,7 +262,7 @@ class Recorder:
             thrust: Array = sample.f
             self._frames(boot_us, encode.measured_motion(self._model, sample, tension, thrust))
 
-    def _event(self, boot_us: int, kind: str, subject: str, text: str) -> None:
+    def _event(self, boot_us: int, kind: str, subject: str, text: str, room: str = "") -> None:
         message = pb.Event(sim_time_ns=boot_us * 1000, kind=kind, subject=subject, text=text)
-        self._write("/event", boot_us, message)
-        self._write("/log", boot_us, encode.log_line(self._epoch_ns + boot_us * 1000, kind, subject, text))
+        self._write(f"{room}/event", boot_us, message)
+        self._write(f"{room}/log", boot_us, encode.log_line(self._epoch_ns + boot_us * 1000, kind, subject, text))

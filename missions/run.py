@@ -36,7 +36,7 @@ from missions.scenario import Flight
 from missions.simulate import Simulator, settings
 from missions.summary import Summary, Track, summarize
 from sitl.plant import Truth
-from sitl.server import HOST
+from sitl.server import HOST, Event
 
 SWITCH_S = 0.0005  # the writer thread gives the interpreter back to the control loop this often
 
@@ -67,7 +67,7 @@ class _Watch:
     def __init__(self, recorder: Recorder, n_links: np.ndarray) -> None:
         self.recorder = recorder
         self._n_links = n_links
-        self._truths: deque[Truth] = deque()
+        self._told: deque[Truth | Event] = deque()
         self._lock = threading.Lock()
         self._answered_us = 0
         self.track = Track()
@@ -97,14 +97,14 @@ class _Watch:
     def perf(self, boot_us: int, turnaround_s: float, ticks: int) -> None:
         self.recorder.perf(boot_us, turnaround_s, ticks)
 
-    def truth(self, truth: Truth) -> None:
-        """Take the simulator's state; it is written when the tick it belongs to has been answered.
+    def told(self, message: Truth | Event) -> None:
+        """Take what the simulator says; it is written when the tick it belongs to has been answered.
 
         The simulator is a tick ahead when a flight ends, or not, as threads happen to run: what nobody answered is left
         out, so that equal runs have equal logs.
         """
         with self._lock:
-            self._truths.append(truth)
+            self._told.append(message)
 
     def finish(self, whole: bool) -> None:
         """Write the truth that came late, all of it where the run is not `whole`. The simulator has ended by then."""
@@ -113,8 +113,12 @@ class _Watch:
     def _tell_truth(self, answered_us: int) -> None:
         self._answered_us = answered_us
         with self._lock:
-            while self._truths and self._truths[0].boot_us <= answered_us:
-                self._write_truth(self._truths.popleft())
+            while self._told and self._told[0].boot_us <= answered_us:
+                message = self._told.popleft()
+                if isinstance(message, Truth):
+                    self._write_truth(message)
+                else:
+                    self.recorder.plant_event(message.boot_us, f"sitl-{message.kind}", message.subject, message.text)
 
     def _write_truth(self, truth: Truth) -> None:
         motion = Motion(truth.state, truth.x, truth.v, truth.tension, truth.thrust)
@@ -133,10 +137,10 @@ class _Watch:
             if pushes and i not in self._slack:
                 self._slack.add(i)
                 text = f"link {link + 1} pushes with {-tension[i, link]:.2f} N: the cable is slack"
-                self.recorder.event(boot_us, "slack", f"cable {i + 1}", text)
+                self.recorder.plant_event(boot_us, "slack", f"cable {i + 1}", text)
             elif not pushes and i in self._slack:
                 self._slack.discard(i)
-                self.recorder.event(boot_us, "taut", f"cable {i + 1}", "every link pulls again")
+                self.recorder.plant_event(boot_us, "taut", f"cable {i + 1}", "every link pulls again")
 
 
 def run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary, bool]:
@@ -166,8 +170,7 @@ def _run(flight: Flight, design: Design, options: Options, progress: Progress) -
             )  # fmt: skip
             simulator = Simulator(
                 values,
-                watch.truth,
-                lambda e: watch.recorder.event(e.boot_us, f"sitl-{e.kind}", e.subject, e.text),
+                watch.told,
             )
             progress.say("starting the vehicles (the first start on a machine compiles the model: about half a minute)")
         _warm_up(design, flight, _model(flight, design))

@@ -70,14 +70,14 @@ def _child(values: Settings, channel: Connection) -> None:
 class Simulator:
     """The child process and the thread that empties its channel."""
 
-    def __init__(self, values: Settings, on_truth: Callable[[Truth], None], on_event: Callable[[Event], None]) -> None:
+    def __init__(self, values: Settings, told: Callable[[Truth | Event], None]) -> None:
         context = multiprocessing.get_context("spawn")
         receive, send = context.Pipe(duplex=False)
         self.failure: str | None = None
         self.report: Report | None = None
         self._ready = threading.Event()
         self._shape = values.system.length.shape
-        self._on_truth, self._on_event = on_truth, on_event
+        self._told = told
         self._process = context.Process(target=_child, args=(values, send), name="cablequad-sitl", daemon=True)
         self._process.start()
         send.close()
@@ -112,10 +112,8 @@ class Simulator:
             except (EOFError, OSError):
                 break
             match message:
-                case Truth():
-                    self._on_truth(message)
-                case Event():
-                    self._on_event(message)
+                case Truth() | Event():
+                    self._told(message)
                 case Report():
                     self.report = message
                 case Failure():
