@@ -147,14 +147,6 @@ class TestMisprints:
         self.force = 5 * rng.normal(size=(4, 3))
 
     def test_mass_matrix_with_the_printed_index_is_singular(self) -> None:
-        N, _ = dense(self.system, self.state, self.force)
-        printed = N.copy()
-        for i in range(4):
-            for j in range(5):
-                for k in range(5):
-                    block = np.s_[6 + 15 * i + 3 * j : 9 + 15 * i + 3 * j, 6 + 15 * i + 3 * k : 9 + 15 * i + 3 * k]
-                    right, wrong = self.system.M_0[i, min(j, k)], self.system.M_0[i, j]
-                    printed[block] *= wrong / right
         # with every direction the same, links cannot be told apart: the chain loses its own inertia
         hanging = State.hanging(self.system)
         N0, _ = dense(self.system, hanging, self.force)
