@@ -22,6 +22,7 @@ from bridge.wire.values import (
     ParamValue,
     StatusText,
 )
+from cablequad import lie
 from cablequad.pilot import Sample
 
 SYSTEM, COMPONENT = 250, 191
@@ -35,10 +36,26 @@ POSITION_GAP_M = 0.5  # a vehicle further than this from where its cable puts it
 
 OFFBOARD = 6 << 16
 HOLD = 4 << 16 | 3 << 24
-WANTED_STREAMS = (
-    mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION,
-    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
-)
+CONTROL_RATE = 0  # us: stands for the control period
+STOP = -1
+STREAMS_US = {
+    mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: CONTROL_RATE,
+    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 40_000,  # a check on the tracker, not in the loop
+    mavlink.MAVLINK_MSG_ID_HIGHRES_IMU: 20_000,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET: 100_000,
+    mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: 100_000,
+    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 200_000,
+    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 200_000,
+    mavlink.MAVLINK_MSG_ID_SYS_STATUS: 1_000_000,
+    mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: 2_000_000,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE: STOP,  # ATTITUDE_QUATERNION says the same
+    mavlink.MAVLINK_MSG_ID_ODOMETRY: STOP,
+    mavlink.MAVLINK_MSG_ID_ALTITUDE: STOP,
+    mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: STOP,
+}
+NEEDED_STREAMS = frozenset(
+    {mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION, mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED}
+)  # a vehicle that refuses one of these is not flown; of the others it may have its own mind
 WANTED_PARAMETER = "THR_MDL_FAC"
 _RESULTS = {1: "temporarily rejected", 2: "denied", 3: "unsupported", 4: "failed"}
 
@@ -85,8 +102,7 @@ class _Vehicle:
         self.heartbeat: Heartbeat | None = None
         self.heard_at = 0.0
         self.landed = 1
-        self.streams_left = set(WANTED_STREAMS)
-        self.asked: list[int] = []
+        self.streams_left = sorted(STREAMS_US, key=lambda msgid: (msgid not in NEEDED_STREAMS, msgid))
         self.refusal = ""
         self.text = ""  # of a STATUSTEXT that comes in chunks
         self.model_factor: float | None = None
@@ -189,9 +205,11 @@ class Fleet:
 
     def setpoints(self, sample: Sample, boot_ms: int) -> list[Request]:
         """The attitude-and-thrust setpoints of a decision, one a vehicle. Raises WireError where one is not finite."""
+        quats = lie.quats_from_rotations(sample.R_c).tolist()
+        thrusts = sample.f.tolist()
         return [
-            Request(i + 1, attitude_target(boot_ms, i + 1, sample.R_c[i], self._laws[i].field(float(sample.f[i]))))
-            for i in range(self.n)
+            Request(i + 1, attitude_target(boot_ms, i + 1, quats[i], law.field(thrusts[i])))
+            for i, law in enumerate(self._laws)
         ]
 
     def hold(self, now: float) -> None:
@@ -224,10 +242,11 @@ class Fleet:
     def _ack(self, v: _Vehicle, ack: CommandAck) -> None:
         if ack.system not in (0, SYSTEM):
             return
-        if ack.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL and v.asked:
-            msgid = v.asked.pop(0)
-            if ack.result == 0:
-                v.streams_left.discard(msgid)
+        if ack.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL and v.streams_left:
+            msgid = v.streams_left[0]  # one question at a time: an ack does not say which message it is about
+            if ack.result == 0 or msgid not in NEEDED_STREAMS:
+                v.streams_left.pop(0)
+                v.next_try = 0.0
             else:
                 v.refusal = f"message {msgid} {_RESULTS.get(ack.result, ack.result)}"
         elif ack.result in _RESULTS and not v.refusal:
@@ -283,8 +302,9 @@ def _command(v: _Vehicle, command: int, *params: float) -> Command:
 
 
 def _ask_streams(v: _Vehicle, interval_us: int) -> list[Any]:
-    v.asked = sorted(v.streams_left)
-    return [_command(v, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, msgid, interval_us) for msgid in v.asked]
+    msgid = v.streams_left[0]
+    asked_us = STREAMS_US[msgid] or interval_us
+    return [_command(v, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, msgid, asked_us)]
 
 
 _ASK: dict[Stage, Callable[[_Vehicle, int], list[Any]]] = {

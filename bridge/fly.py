@@ -43,11 +43,11 @@ class Timing(NamedTuple):
 class Record(Protocol):
     """Where everything goes; times are microseconds of the vehicles' clock."""
 
-    def received(self, boot_us: int, frame: Received) -> None:
-        """A frame that came in."""
+    def received(self, boot_us: int, frames: list[Received]) -> None:
+        """Frames that came in."""
 
-    def sent(self, boot_us: int, frame: Sent, to: int) -> None:
-        """A frame that went out to system `to`."""
+    def sent(self, boot_us: int, frames: list[tuple[int, Sent]]) -> None:
+        """Frames that went out, each with the system it went to."""
 
     def decided(self, boot_us: int, sample: Sample, tension: list[float], flying: bool) -> None:
         """A control decision."""
@@ -86,7 +86,8 @@ class _Flight:
 
     def step(self) -> Sample | None:
         """Take what has come in; answer the newest complete state if there is one."""
-        frames = self.link.poll(0.1)
+        tracker = self.routes.get(TRACKER)
+        frames = self.link.poll(0.1, tracker[0] if tracker is not None and not self.pending else None)
         arrived = self.link.now()
         if frames:
             self.heard_at = arrived
@@ -124,7 +125,8 @@ class _Flight:
         for frame in self.pending:
             if frame.value is not None:
                 self.fleet.feed(frame.system, frame.component, frame.value, now)
-            self.record.received(self.now_us, frame)
+        if self.pending:
+            self.record.received(self.now_us, self.pending)
         self.pending = []
         if self.fleet.released_at is not None and not self.released:
             self.released = True
@@ -149,14 +151,16 @@ class _Flight:
         return sample
 
     def _send(self, requests: list[Request]) -> None:
+        sent: list[tuple[int, Sent]] = []
         for system, value in requests:
             message = encode(value)
-            targets = [system] if system is not None else [*range(1, self.fleet.n + 1)]
-            for target in targets:
+            for target in (system,) if system is not None else range(1, self.fleet.n + 1):
                 route = self.routes.get(target)
                 if route is not None:
-                    sent = self.link.send(route[0], SYSTEM, COMPONENT, message, route[1])
-                    self.record.sent(self.now_us, sent, target)
+                    sent.append((target, self.link.send(route[0], SYSTEM, COMPONENT, message, route[1])))
+        self.link.flush()
+        if sent:
+            self.record.sent(self.now_us, sent)
 
     def _time(self, boot_ms: int, arrived: float, done: float) -> None:
         self.ticks += 1

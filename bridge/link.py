@@ -1,41 +1,24 @@
-"""Bytes <-> values on UDP: addresses, ids, sequence numbers, checksums. The only clock and the only wait.
+"""Bytes <-> values: ids, sequence numbers, checksums, signatures. The only clock and the only wait.
 
 Every datagram is split and checked by itself, so a bad one never disturbs the next. Frames are MAVLink 2 out, 1 or 2
-in.
+in; what goes to one address in one breath shares a datagram.
 """
 
+import select
 import selectors
 import socket
 import time
-from collections import OrderedDict
 from typing import Any, NamedTuple
 
-import fastcrc
-
-from bridge.wire.dialect import Message, mavlink
+from bridge.ports import Address, Endpoint, LinkError, Port, open_port
+from bridge.wire.dialect import mavlink
+from bridge.wire.frames import Packed, Signer, Verdict, checksum, frame, targeted
 from bridge.wire.messages import READABLE, decode
 
-Address = tuple[str, int]
+__all__ = ["Address", "Counters", "Endpoint", "Link", "LinkError", "Received", "Sent"]
 
-PEERS_KEPT = 8  # learned addresses per port; the longest silent one is forgotten first
-RECEIVE_BUFFER = 4 << 20  # bytes; the system's default holds 256 small datagrams
-_checksum = fastcrc.crc16.mcrf4xx
-
-
-TRACKER_PORTS = (14600, 14640)  # where the controller listens, where the payload tracker does
-GROUND_PORT, LISTEN_PORT = 14550, 14555
-
-
-def vehicle_ports(i: int) -> tuple[int, int]:
-    """Where the controller listens for vehicle i (from 0), and where that vehicle does: PX4's numbers.
-
-    From the eleventh on they move up, as 14550 and 14600 are taken.
-    """
-    return (14540 + i, 14580 + i) if i < 10 else (15540 + i, 16580 + i)
-
-
-class LinkError(Exception):
-    """An address that cannot be used; the message says which and what to do."""
+GRACE_S = 0.002
+DATAGRAM_BYTES = 1400  # fits every network
 
 
 class Received(NamedTuple):
@@ -63,87 +46,38 @@ class Sent(NamedTuple):
     frame: bytes
 
 
-class Endpoint(NamedTuple):
-    """Where a port is, as a URL says it: `udpin:HOST:PORT` listens there, `udpout:HOST:PORT` speaks to it."""
-
-    bind: Address | None
-    peer: Address | None
-
-    @classmethod
-    def parse(cls, url: str) -> "Endpoint":
-        """The endpoint of `url`. Raises LinkError naming what is wrong with it."""
-        scheme, _, rest = url.partition(":")
-        host, _, port = rest.removeprefix("//").rpartition(":")
-        if scheme not in ("udpin", "udpout", "udp") or not host or not port.isdigit() or not 0 < int(port) < 65536:
-            raise LinkError(f"address {url!r}: write it as udpin:HOST:PORT (listen) or udpout:HOST:PORT (speak to it)")
-        address = (host, int(port))
-        return cls(None, address) if scheme == "udpout" else cls(address, None)
-
-
-class Port:
-    """One UDP socket and who is on the other side."""
-
-    def __init__(self, endpoint: Endpoint) -> None:
-        self.endpoint = endpoint
-        self.peers: OrderedDict[Address, None] = OrderedDict()
-        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
-        self.socket.setblocking(False)
-        try:
-            self.socket.bind(endpoint.bind or ("127.0.0.1" if endpoint.peer[0] == "127.0.0.1" else "", 0))  # type: ignore[index]
-        except OSError as error:
-            self.socket.close()
-            where = "udp {}:{}".format(*(endpoint.bind or ("", 0)))
-            raise LinkError(
-                f"{where}: {error.strerror or error}; stop the program that has it or choose others (--port-offset)"
-            ) from None
-
-    def learn(self, address: Address) -> None:
-        """Remember who spoke to us."""
-        if address == self.endpoint.peer:
-            return
-        if address not in self.peers:
-            while len(self.peers) >= PEERS_KEPT:
-                self.peers.popitem(last=False)
-        self.peers[address] = None
-        self.peers.move_to_end(address)
-
-    def addresses(self) -> list[Address]:
-        """Everyone a broadcast on this port goes to."""
-        fixed = [] if self.endpoint.peer is None else [self.endpoint.peer]
-        return [*fixed, *self.peers]
-
-
 class Counters:
-    """What a link has seen."""
+    """What a link has seen, in frames."""
 
     def __init__(self) -> None:
         self.sent = 0
+        self.unsent = 0  # that the system did not take
         self.received = 0
         self.lost = 0  # by gaps in sequence numbers
-        self.bad = 0  # frames that did not parse or failed their checksum
+        self.bad = 0  # that did not parse, failed their checksum or made no sense
+        self.refused = dict.fromkeys((Verdict.UNSIGNED, Verdict.WRONG, Verdict.REPLAYED), 0)  # by their signature
 
 
 class Link:
     """Ports that are waited on together, and the clock."""
 
-    def __init__(self, endpoints: list[Endpoint]) -> None:
+    def __init__(self, endpoints: list[Endpoint], signer: Signer | None = None) -> None:
         self.ports: list[Port] = []
         self.counters = Counters()
-        self._selector = (
-            selectors.SelectSelector()
-        )  # select() waits with microsecond resolution, epoll with milliseconds
-        self._codec = mavlink.MAVLink(None)
+        self.signer = signer
+        # select() waits with microsecond resolution, epoll with milliseconds
+        self._selector = selectors.SelectSelector()
         self._next_seq: dict[tuple[int, int, int], int] = {}
         self._last_seq: dict[tuple[int, int, int], int] = {}
+        self._queue: dict[tuple[int, Address], list[bytes]] = {}
         try:
             for index, endpoint in enumerate(endpoints):
-                port = Port(endpoint)
-                self.ports.append(port)
-                self._selector.register(port.socket, selectors.EVENT_READ, index)
+                self.ports.append(open_port(endpoint, self._selector, index))
         except BaseException:
             self.close()
             raise
+        if signer is not None:
+            signer.at(time.time())
 
     def now(self) -> float:
         """Wall-clock seconds, monotonic."""
@@ -153,86 +87,126 @@ class Link:
         """Wait for a wall-clock time of `now`, doing nothing."""
         time.sleep(max(0.0, deadline - time.monotonic()))
 
-    def poll(self, timeout: float) -> list[Received]:
-        """Frames that have arrived, waiting up to `timeout` s for the first."""
+    def poll(self, timeout: float, closing: int | None = None) -> list[Received]:
+        """Frames that have arrived, waiting up to `timeout` s for the first; what waits to be sent goes out before.
+
+        `closing` is the port on which the last of a burst is expected: being woken once for all of it, and not for
+        every datagram, halves what a tick costs. The others are not kept waiting for more than `GRACE_S`.
+        """
+        self.flush()
+        if closing is not None:
+            waits_on = self.ports[closing].listening()
+            if waits_on and select.select(waits_on, (), (), min(timeout, GRACE_S))[0]:
+                timeout = 0.0
+        now = time.monotonic()
+        for port in self.ports:
+            port.tend(now)
         out: list[Received] = []
         for key, _ in self._selector.select(max(0.0, timeout)):
             index = int(key.data)
+            ready = key.fileobj
+            assert isinstance(ready, socket.socket)
             port = self.ports[index]
-            while True:
-                try:
-                    datagram, address = port.socket.recvfrom(65536)
-                except (BlockingIOError, ConnectionRefusedError):
-                    break
-                frames = self._split(index, address, datagram)
+            for address, data in port.receive(ready, now):
+                frames = self._split(index, address, data)
                 if frames:
                     port.learn(address)
                     out += frames
         return out
 
-    def send(self, port: int, system: int, component: int, message: Message, to: Address | None = None) -> Sent:
-        """Put one message on the wire as (system, component): to one address, or to everyone on the port."""
+    def send(self, port: int, system: int, component: int, message: Packed, to: Address | None = None) -> Sent:
+        """Queue one message as (system, component) for one address, or for everyone on the port; see `flush`."""
         key = (port, system, component)
         seq = self._next_seq.get(key, 0)
         self._next_seq[key] = (seq + 1) & 255
-        codec = self._codec
-        codec.seq, codec.srcSystem, codec.srcComponent = seq, system, component
-        frame = bytes(message.pack(codec))
-        here = self.ports[port]
-        for address in [to] if to is not None else here.addresses():
-            try:
-                here.socket.sendto(frame, address)
-            except (BlockingIOError, ConnectionRefusedError):
-                self.counters.lost += 1
+        whole = frame(message, seq, system, component, self.signer)
+        for address in [to] if to is not None else self.ports[port].addresses():
+            waiting = self._queue.setdefault((port, address), [])
+            waiting.append(whole)
         self.counters.sent += 1
-        return Sent(system, component, seq, message.get_msgId(), message.get_type(), frame)
+        return Sent(system, component, seq, message.msgid, message.name, whole)
+
+    def flush(self) -> None:
+        """Put what is queued on the wire, in as few datagrams as hold it."""
+        if not self._queue:
+            return
+        for (port, address), frames in self._queue.items():
+            here, start, size = self.ports[port], 0, 0
+            for k, whole in enumerate(frames):
+                if size and size + len(whole) > DATAGRAM_BYTES:
+                    self._put(here, frames[start:k], address)
+                    start, size = k, 0
+                size += len(whole)
+            self._put(here, frames[start:], address)
+        self._queue.clear()
+        if self.signer is not None:
+            self.signer.at(time.time())
 
     def close(self) -> None:
-        """Release the sockets."""
+        """Send what waits and release the sockets."""
+        if self.ports:
+            self.flush()
         self._selector.close()
         for port in self.ports:
-            port.socket.close()
+            port.close()
+
+    def _put(self, port: Port, frames: list[bytes], address: Address) -> None:
+        if not port.send(b"".join(frames), address):
+            self.counters.unsent += len(frames)
 
     def _split(self, port: int, address: Address, data: bytes) -> list[Received]:
         out: list[Received] = []
+        counters = self.counters
         at, end = 0, len(data)
         while at < end:
             magic = data[at]
             if magic == 0xFD and at + 12 <= end:
-                size = 12 + data[at + 1] + (13 if data[at + 2] & 1 else 0)
-                supported = not data[at + 2] & ~1
+                flags = data[at + 2]
+                tail = at + 10 + data[at + 1]
+                last = tail + 2 + (13 if flags & 1 else 0)
                 seq, system, component = data[at + 4], data[at + 5], data[at + 6]
                 msgid = data[at + 7] | data[at + 8] << 8 | data[at + 9] << 16
-                body = 10
             elif magic == 0xFE and at + 8 <= end:
-                size, supported, body = 8 + data[at + 1], True, 6
+                flags = 0
+                tail = at + 6 + data[at + 1]
+                last = tail + 2
                 seq, system, component, msgid = data[at + 2], data[at + 3], data[at + 4], data[at + 5]
             else:
                 at += 1
-                self.counters.bad += 1
+                counters.bad += 1
                 continue
-            frame = data[at : at + size]
             kind = mavlink.mavlink_map.get(msgid)
-            if len(frame) < size or not supported or kind is None:
-                self.counters.bad += 1
-                at += size if len(frame) == size else 1
+            if last > end or flags & ~1 or kind is None:
+                counters.bad += 1
+                at = last if last <= end else at + 1
                 continue
-            tail = body + frame[1]
-            if _checksum(frame[1:tail] + bytes((kind.crc_extra,))) != frame[tail] | frame[tail + 1] << 8:
-                self.counters.bad += 1
+            if checksum(data[at + 1 : tail] + bytes((kind.crc_extra,))) != data[tail] | data[tail + 1] << 8:
+                counters.bad += 1
                 at += 1
                 continue
-            at += size
+            whole = data[at:last]
+            at = last
+            if self.signer is not None and not self._believed(self.signer, msgid, whole):
+                continue
             value = None
             if msgid in READABLE:
                 try:
-                    value = decode(self._codec.decode(bytearray(frame)))
-                except (mavlink.MAVError, ValueError, OverflowError, ZeroDivisionError):
-                    self.counters.bad += 1
+                    value = decode(msgid, whole)
+                except (mavlink.MAVError, ValueError, ArithmeticError):
+                    counters.bad += 1
                     continue
             self._count(port, system, component, seq)
-            out.append(Received(port, address, system, component, seq, msgid, kind.msgname, frame, value))
+            out.append(Received(port, address, system, component, seq, msgid, kind.msgname, whole, value))
         return out
+
+    def _believed(self, signer: Signer, msgid: int, whole: bytes) -> bool:
+        verdict = signer.judge(whole)
+        if verdict is Verdict.GOOD:
+            return True
+        if verdict is Verdict.UNSIGNED and signer.accept_unsigned_telemetry and not targeted(msgid):
+            return True
+        self.counters.refused[verdict] += 1
+        return False
 
     def _count(self, port: int, system: int, component: int, seq: int) -> None:
         key = (port, system, component)

@@ -5,11 +5,13 @@ vehicles (ATTITUDE_QUATERNION). A vehicle's own LOCAL_POSITION_NED is redundant 
 says whether the vehicle hangs where its cable says it does.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from bridge.wire.values import CableShape, PayloadState, VehicleAttitude, VehiclePosition
+from cablequad import lie
 from cablequad.state import State, positions
 from cablequad.system import System
 from cablequad.types import Array
@@ -36,7 +38,7 @@ class _Parts:
         self.q = np.tile(np.array([0.0, 0.0, 1.0]), (n, L, 1))
         self.omega = np.zeros((n, L, 3))
         self.tension = np.zeros(n)
-        self.links = np.zeros(n, dtype=np.int64)
+        self.links_missing = 0
 
 
 class Observer:
@@ -45,6 +47,8 @@ class Observer:
     def __init__(self, system: System) -> None:
         self._system = system
         self._n, self._L = system.length.shape
+        self._links_of = system.n_links.tolist()
+        self._links = sum(self._links_of)
         self._parts: dict[int, _Parts] = {}
         self._taken_ms = -1
         self._ready_ms = -1
@@ -76,17 +80,17 @@ class Observer:
             del self._parts[old]
         load = parts.payload
         assert load is not None
+        if not lie.normalize(parts.q):
+            return None
         n = self._n
-        state = State(
-            load.x0, load.v0, load.R0, load.Omega0, parts.q, parts.omega,
-            np.stack([parts.attitudes[i].R for i in range(n)]),
-            np.stack([parts.attitudes[i].Omega for i in range(n)]),
-        )  # fmt: skip
-        gap = np.full(n, np.nan)
+        R, Omega, gap = np.empty((n, 3, 3)), np.empty((n, 3)), np.full(n, np.nan)
+        for i, vehicle in parts.attitudes.items():
+            R[i], Omega[i] = vehicle.R, vehicle.Omega
+        state = State(load.x0, load.v0, load.R0, load.Omega0, parts.q, parts.omega, R, Omega)
         if parts.positions:
-            hung = positions(self._system, state)[:, 0]
+            hung = positions(self._system, state)
             for i, said in parts.positions.items():
-                gap[i] = float(np.linalg.norm(said.x - hung[i]))
+                gap[i] = math.dist(said.x.tolist(), hung[i, 0].tolist())
         return Instant(boot_ms, state, parts.tension, gap)
 
     def _of(self, boot_ms: int) -> _Parts:
@@ -97,20 +101,17 @@ class Observer:
             while len(self._parts) >= KEPT:
                 del self._parts[min(self._parts)]
             self._parts[boot_ms] = _Parts(self._n, self._L)
+            self._parts[boot_ms].links_missing = self._links
         return self._parts[boot_ms]
 
     def _cable(self, c: CableShape) -> None:
-        i = c.cable - 1
-        k = len(c.q)
-        if not 0 <= i < self._n or c.n_links != self._system.n_links[i] or c.first_link + k > self._L:
+        i, k, first = c.cable - 1, len(c.q), c.first_link
+        if not 0 <= i < self._n or c.n_links != self._links_of[i] or first + k > self._L:
             return
         parts = self._of(c.boot_us // 1000)
-        size = np.linalg.norm(c.q, axis=1, keepdims=True)
-        if not (size > 0.5).all():
-            return
-        parts.q[i, c.first_link : c.first_link + k] = c.q / size
-        parts.omega[i, c.first_link : c.first_link + k] = c.omega
-        parts.links[i] += k
+        parts.q[i, first : first + k] = c.q
+        parts.omega[i, first : first + k] = c.omega
+        parts.links_missing -= k
         parts.tension[i] = c.tension_N
 
     def _check(self, boot_ms: int) -> None:
@@ -119,6 +120,6 @@ class Observer:
             parts is not None
             and parts.payload is not None
             and len(parts.attitudes) == self._n
-            and (parts.links >= self._system.n_links).all()
+            and parts.links_missing <= 0
         ):
             self._ready_ms = max(self._ready_ms, boot_ms)

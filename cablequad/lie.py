@@ -167,6 +167,31 @@ def quat_from_rotation(R: Array) -> Array:
 
 
 @jit
+def normalize(directions: Array) -> bool:
+    """Scale each of `directions` (n, L, 3) to length 1, in place; False if one is no direction (shorter than 0.5)."""
+    for i in range(directions.shape[0]):
+        for j in range(directions.shape[1]):
+            x, y, z = directions[i, j, 0], directions[i, j, 1], directions[i, j, 2]
+            size = math.sqrt(x * x + y * y + z * z)
+            if not size > 0.5:
+                return False
+            for a in range(3):
+                directions[i, j, a] /= size
+    return True
+
+
+@jit
+def quats_from_rotations(R: Array) -> Array:
+    """`quat_from_rotation` of each of R (k, 3, 3), (k, 4)."""
+    out = np.empty((R.shape[0], 4))
+    for i in range(R.shape[0]):
+        a = R[i]
+        rows = (a[0, 0], a[0, 1], a[0, 2]), (a[1, 0], a[1, 1], a[1, 2]), (a[2, 0], a[2, 1], a[2, 2])
+        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = quat_of_rows(rows)
+    return out
+
+
+@jit
 def rotation_from_quat(quat_wxyz: Array) -> Array:
     """The rotation of a quaternion (w, x, y, z) of any non-zero norm, (3, 3)."""
     w, x, y, z = quat_wxyz[0], quat_wxyz[1], quat_wxyz[2], quat_wxyz[3]

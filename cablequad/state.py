@@ -105,26 +105,57 @@ def retract(system: System, target: State, error: Error) -> State:
     return out
 
 
+@jit
 def positions(system: System, state: State) -> Array:
     """(n, L + 1, 3) m, W: the quadrotor, then the payload-side end of each link (the last is the attachment point).
 
     The paper's x_i and x_ij; entries beyond `n_links[i]` repeat the attachment point.
     """
-    return _nodes(system, state.q, state.x0, (state.R0 @ system.rho.T).T)
+    n, L = system.length.shape
+    out = np.empty((n, L + 1, 3))
+    for i in range(n):
+        for a in range(3):
+            end = state.x0[a]
+            for b in range(3):
+                end += state.R0[a, b] * system.rho[i, b]
+            out[i, L, a] = end
+            for j in range(L - 1, -1, -1):
+                if j < system.n_links[i]:
+                    end -= system.length[i, j] * state.q[i, j, a]
+                out[i, j, a] = end
+    return out
 
 
+@jit
 def velocities(system: System, state: State) -> Array:
     """(n, L + 1, 3) m/s, W: the velocities of `positions`."""
-    q_dot = np.cross(state.omega, state.q)
-    rho_dot = (state.R0 @ np.cross(state.Omega0, system.rho).T).T
-    return _nodes(system, q_dot, state.v0, rho_dot)
-
-
-def _nodes(system: System, link: Array, origin: Array, offset: Array) -> Array:
-    """origin + offset_i - sum_{a > j} l_ia link_ia for j = 0 .. L."""
     n, L = system.length.shape
-    used = np.arange(L)[None, :] < system.n_links[:, None]
-    steps = np.where(used[..., None], system.length[..., None] * link, 0.0)
-    below = np.concatenate([np.cumsum(steps[:, ::-1], axis=1)[:, ::-1], np.zeros((n, 1, 3))], axis=1)
-    nodes: Array = (origin + offset)[:, None, :] - below
-    return nodes
+    out = np.empty((n, L + 1, 3))
+    for i in range(n):
+        spin = lie.cross(state.Omega0, system.rho[i])
+        for a in range(3):
+            end = state.v0[a]
+            for b in range(3):
+                end += state.R0[a, b] * spin[b]
+            out[i, L, a] = end
+        for j in range(L - 1, -1, -1):
+            used = j < system.n_links[i]
+            turn = lie.cross(state.omega[i, j], state.q[i, j])
+            for a in range(3):
+                out[i, j, a] = out[i, j + 1, a] - (system.length[i, j] * turn[a] if used else 0.0)
+    return out
+
+
+@jit
+def link_poses(system: System, state: State) -> tuple[Array, Array]:
+    """(n, L, 3) m, W: the middle of every link; (n, L, 4): the quaternion (w, x, y, z) from e3 to its direction."""
+    n, L = system.length.shape
+    nodes = positions(system, state)
+    middle, quat = np.empty((n, L, 3)), np.empty((n, L, 4))
+    e3 = np.array([0.0, 0.0, 1.0])
+    for i in range(n):
+        for j in range(L):
+            for a in range(3):
+                middle[i, j, a] = 0.5 * (nodes[i, j, a] + nodes[i, j + 1, a])
+            quat[i, j] = lie.quat_from_rotation(lie.exp(lie.direction_to(e3, state.q[i, j])))
+    return middle, quat

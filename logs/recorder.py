@@ -11,7 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.Log_pb2 import Log
@@ -33,21 +33,16 @@ EPOCH_NS = 1_700_000_000_000_000_000  # log_time of the vehicles' clock at zero,
 TRACKER = 200
 
 
-class Frame(Protocol):
+class Frame(NamedTuple):
     """A MAVLink frame with its header."""
 
-    @property
-    def frame(self) -> bytes: ...
-    @property
-    def msgid(self) -> int: ...
-    @property
-    def system(self) -> int: ...
-    @property
-    def component(self) -> int: ...
-    @property
-    def seq(self) -> int: ...
-    @property
-    def name(self) -> str: ...
+    other: int  # the system it came from or went to
+    frame: bytes
+    msgid: int
+    system: int
+    component: int
+    seq: int
+    name: str
 
 
 class RecorderError(Exception):
@@ -125,13 +120,9 @@ class Recorder:
         """The simulator's state."""
         self._put(lambda: self._truth(boot_us, held, motion))
 
-    def received(self, boot_us: int, frame: Frame) -> None:
-        """A frame that came in."""
-        self._put(lambda: self._frame(boot_us, frame, frame.system, "rx"))
-
-    def sent(self, boot_us: int, frame: Frame, to: int) -> None:
-        """A frame that went out to system `to`."""
-        self._put(lambda: self._frame(boot_us, frame, to, "tx"))
+    def frames(self, boot_us: int, direction: str, frames: Sequence[Frame]) -> None:
+        """Frames that came in ("rx") or went out ("tx")."""
+        self._put(lambda: self._frames_of(boot_us, direction, frames))
 
     def decided(self, boot_us: int, sample: Sample, tension: list[float], flying: bool) -> None:
         """A control decision."""
@@ -243,17 +234,13 @@ class Recorder:
             self._last_tf_ns = ns
             self._write("/tf", boot_us, encode.transforms(self._model, motion, self._epoch_ns + ns, first))
 
-    def _frame(self, boot_us: int, frame: Frame, system: int, direction: str) -> None:
-        who = "payload" if system == TRACKER else f"quad{system}"
-        message = pb.MavlinkFrame(
-            frame=frame.frame,
-            msgid=frame.msgid,
-            sysid=frame.system,
-            compid=frame.component,
-            seq=frame.seq,
-            name=frame.name,
-        )
-        self._write(f"/mavlink/{who}/{direction}", boot_us, message)
+    def _frames_of(self, boot_us: int, direction: str, frames: Sequence[Frame]) -> None:
+        for f in frames:
+            who = "payload" if f.other == TRACKER else f"quad{f.other}"
+            message = pb.MavlinkFrame(
+                frame=f.frame, msgid=f.msgid, sysid=f.system, compid=f.component, seq=f.seq, name=f.name
+            )
+            self._write(f"/mavlink/{who}/{direction}", boot_us, message)
 
     def _decided(self, boot_us: int, sample: Sample, tension: list[float], flying: bool) -> None:
         self._write("/control/state", boot_us, encode.control(boot_us, sample, tension, flying))

@@ -1,16 +1,17 @@
-"""The one-way channel from the simulator's process to the recorder: truth and events as bytes, nothing back."""
+"""Truth, events and decisions as bytes, for the one-way pipes to the scribe."""
 
+import math
 import pickle
-import struct
+from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
 
-from cablequad.state import State
+from cablequad.pilot import Memory, Reference, Sample
+from cablequad.state import Error, State
+from cablequad.types import Array
 from sitl.plant import Truth
 from sitl.server import Event, Report
-
-_HEADER = struct.Struct("<c?q")
 
 
 class Sender(Protocol):
@@ -31,30 +32,66 @@ class Failure:
         self.text = text
 
 
-Message = Truth | Event | Report | Ready | Failure
+Message = Truth | Event
+Status = Report | Ready | Failure
+Shapes = tuple[tuple[int, ...], ...]
 
 
-def put(channel: Sender, message: Message) -> None:
-    """Write one message."""
-    if isinstance(message, Truth):
-        fields = [*message.state, message.x, message.v, message.tension, message.thrust]
-        head = _HEADER.pack(b"T", message.held, message.boot_us)
-        channel.send_bytes(head + np.concatenate([field.ravel() for field in fields]).tobytes())
-    else:
-        channel.send_bytes(b"P" + pickle.dumps(message))
+def put(channel: Sender, messages: Sequence[Message]) -> None:
+    """Write what was said, in its order."""
+    parts: list[Event | tuple[int, bool, bytes]] = []
+    for m in messages:
+        if isinstance(m, Truth):
+            fields = [*m.state, m.x, m.v, m.tension, m.thrust]
+            parts.append((m.boot_us, m.held, np.concatenate([field.ravel() for field in fields]).tobytes()))
+        else:
+            parts.append(m)
+    channel.send_bytes(pickle.dumps(parts, 5))
 
 
-def take(data: bytes, n: int, L: int) -> Message:
-    """The message in `data`, for a system of n vehicles and L links."""
-    if data[:1] == b"P":
-        message: Message = pickle.loads(data[1:])
-        return message
-    _, held, boot_us = _HEADER.unpack_from(data)
-    flat = np.frombuffer(data, dtype=float, offset=_HEADER.size)
-    shapes = [(3,), (3,), (3, 3), (3,), (n, L, 3), (n, L, 3), (n, 3, 3), (n, 3), (n, 3), (n, 3), (n, L), (n,)]
+def take(data: bytes, n: int, L: int) -> list[Message]:
+    """The messages in `data`, for a system of n vehicles and L links."""
+    shapes = ((3,), (3,), (3, 3), (3,), (n, L, 3), (n, L, 3), (n, 3, 3), (n, 3), (n, 3), (n, 3), (n, L), (n,))
+    out: list[Message] = []
+    for part in pickle.loads(data):
+        if isinstance(part, Event):
+            out.append(part)
+        else:
+            boot_us, held, values = part
+            fields = _split(np.frombuffer(values), shapes)
+            out.append(Truth(boot_us, held, State(*fields[:8]), *fields[8:]))
+    return out
+
+
+def put_sample(sample: Sample) -> bytes:
+    """A decision as bytes; with its `sample_shapes`, `take_sample` reads them."""
+    numbers = np.array((sample.t, sample.Psi_0, sample.e_q, sample.e_omega))
+    return np.concatenate([numbers, *[array.ravel() for array in _arrays(sample)]]).tobytes()
+
+
+def sample_shapes(sample: Sample) -> Shapes:
+    """The shapes of a decision's arrays, which are the same for all decisions of a design."""
+    return ((4,), *(array.shape for array in _arrays(sample)))
+
+
+def take_sample(data: bytes, shapes: Shapes) -> Sample:
+    """The decision in `data`."""
+    numbers, *a = _split(np.frombuffer(data), shapes)
+    t, Psi_0, e_q, e_omega = numbers.tolist()
+    state, reference, memory, error = State(*a[:8]), Reference(*a[8:10]), Memory(*a[10:12]), Error(*a[12:14])
+    A, R_c, f, Psi = a[14:]
+    return Sample(t, state, reference, memory, error, A, R_c, f, Psi_0, Psi, e_q, e_omega)
+
+
+def _arrays(s: Sample) -> tuple[Array, ...]:
+    return (*s.state, *s.reference, *s.memory, *s.error, s.A, s.R_c, s.f, s.Psi)
+
+
+def _split(flat: Array, shapes: Sequence[tuple[int, ...]]) -> list[Array]:
+    """Views of consecutive pieces of `flat`, one of each shape."""
     parts, at = [], 0
     for shape in shapes:
-        size = int(np.prod(shape))
+        size = math.prod(shape)
         parts.append(flat[at : at + size].reshape(shape))
         at += size
-    return Truth(boot_us, held, State(*parts[:8]), *parts[8:])
+    return parts

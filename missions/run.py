@@ -7,9 +7,7 @@ import platform
 import signal
 import subprocess
 import sys
-import threading
 import time
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -21,22 +19,22 @@ import numpy as np
 
 from bridge.fleet import Fleet
 from bridge.fly import Outcome, Plan, Timing, fly
-from bridge.link import TRACKER_PORTS, Endpoint, Link, LinkError, Received, Sent, vehicle_ports
-from bridge.wire.messages import attitude_target, decode
+from bridge.link import Endpoint, Link, LinkError
+from bridge.ports import TRACKER_PORTS, vehicle_ports
+from bridge.wire.messages import attitude_target, reread
 from bridge.wire.messages import encode as encode_message
 from bridge.wire.values import PayloadState, VehicleAttitude
 from cablequad import lie
 from cablequad.design import Design
 from cablequad.pilot import Measurement, Reference, Sample, first_memory, tick
-from logs import encode
-from logs.encode import Model, Motion
-from logs.recorder import Attachment, Recorder, RecorderError
+from logs.encode import Model
+from logs.recorder import Attachment, RecorderError
 from missions import scenario as scenarios
 from missions.scenario import Flight
-from missions.simulate import Simulator, settings
+from missions.scribe import Opening, Scribe
+from missions.simulate import Simulator, few_collections, settings
 from missions.summary import Summary, Track, summarize
-from sitl.plant import Truth
-from sitl.server import HOST, Event
+from sitl.server import HOST
 
 SWITCH_S = 0.0005  # the writer thread gives the interpreter back to the control loop this often
 
@@ -62,85 +60,23 @@ class Progress:
 
 
 class _Watch:
-    """Passes everything on to the recorder and keeps the figures."""
+    """Passes everything on to the scribe and keeps the figures of what was decided."""
 
-    def __init__(self, recorder: Recorder, n_links: np.ndarray) -> None:
-        self.recorder = recorder
-        self._n_links = n_links
-        self._told: deque[Truth | Event] = deque()
-        self._lock = threading.Lock()
-        self._answered_us = 0
+    def __init__(self, scribe: Scribe) -> None:
+        self.scribe = scribe
         self.track = Track()
-        self.released = False
         self.ended = False
-        self._truth_tension = False
-        self._slack: set[int] = set()
-
-    def received(self, boot_us: int, frame: Received) -> None:
-        self.recorder.received(boot_us, frame)
-
-    def sent(self, boot_us: int, frame: Sent, to: int) -> None:
-        self.recorder.sent(boot_us, frame, to)
+        self.received, self.sent, self.perf = scribe.received, scribe.sent, scribe.perf
 
     def decided(self, boot_us: int, sample: Sample, tension: list[float], flying: bool) -> None:
-        self.recorder.decided(boot_us, sample, tension, flying)
-        self._tell_truth(boot_us)
+        self.scribe.decided(boot_us, sample, tension, flying)
         if flying and not self.ended:
             self.track.decided(sample)
-            if not self._truth_tension:
-                self.track.tension(min(tension))
+            self.track.tension(min(tension))
 
     def event(self, boot_us: int, kind: str, subject: str, text: str) -> None:
-        self.recorder.event(boot_us, kind, subject, text)
+        self.scribe.event(boot_us, kind, subject, text)
         self.ended = self.ended or kind == "end"
-
-    def perf(self, boot_us: int, turnaround_s: float, ticks: int) -> None:
-        self.recorder.perf(boot_us, turnaround_s, ticks)
-
-    def told(self, message: Truth | Event) -> None:
-        """Take what the simulator says; it is written when the tick it belongs to has been answered.
-
-        The simulator is a tick ahead when a flight ends, or not, as threads happen to run: what nobody answered is left
-        out, so that equal runs have equal logs.
-        """
-        with self._lock:
-            self._told.append(message)
-
-    def finish(self, whole: bool) -> None:
-        """Write the truth that came late, all of it where the run is not `whole`. The simulator has ended by then."""
-        self._tell_truth(self._answered_us if whole else 2**62)
-
-    def _tell_truth(self, answered_us: int) -> None:
-        self._answered_us = answered_us
-        with self._lock:
-            while self._told and self._told[0].boot_us <= answered_us:
-                message = self._told.popleft()
-                if isinstance(message, Truth):
-                    self._write_truth(message)
-                else:
-                    self.recorder.plant_event(message.boot_us, f"sitl-{message.kind}", message.subject, message.text)
-
-    def _write_truth(self, truth: Truth) -> None:
-        motion = Motion(truth.state, truth.x, truth.v, truth.tension, truth.thrust)
-        self.recorder.truth(truth.boot_us, truth.held, motion)
-        if not truth.held and not self.ended:
-            if not self._truth_tension:
-                self._truth_tension, self.track.min_tension_N = True, math.inf
-            used = np.arange(truth.tension.shape[1])[None, :] < self._n_links[:, None]
-            self.track.tension(float(truth.tension[used].min()))
-            self._tell_slack(truth.boot_us, np.where(used, truth.tension, np.inf))
-
-    def _tell_slack(self, boot_us: int, tension: np.ndarray) -> None:
-        """An event when a link of a cable begins to push, that is, the cable is slack, and when it pulls again."""
-        for i, link in enumerate(tension.argmin(axis=1).tolist()):
-            pushes = bool(tension[i, link] < 0)
-            if pushes and i not in self._slack:
-                self._slack.add(i)
-                text = f"link {link + 1} pushes with {-tension[i, link]:.2f} N: the cable is slack"
-                self.recorder.plant_event(boot_us, "slack", f"cable {i + 1}", text)
-            elif not pushes and i in self._slack:
-                self._slack.discard(i)
-                self.recorder.plant_event(boot_us, "taut", f"cable {i + 1}", "every link pulls again")
 
 
 def run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary, bool]:
@@ -158,25 +94,22 @@ def _run(flight: Flight, design: Design, options: Options, progress: Progress) -
     n = len(flight.system.m)
     link = Link(_endpoints(n, options))
     simulator: Simulator | None = None
-    recorder: Recorder | None = None
-    before = sys.getswitchinterval()
+    scribe: Scribe | None = None
+    before, thresholds = sys.getswitchinterval(), gc.get_threshold()
     try:
-        recorder = _recorder(flight, design, options)
-        watch = _Watch(recorder, flight.system.n_links)
+        scribe = Scribe(_opening(flight, design, options))
         if not options.connect:
             values = settings(
                 flight, lockstep=math.isinf(options.speed), await_controller=True, speed=options.speed,
                 port_offset=options.port_offset, host=HOST,
             )  # fmt: skip
-            simulator = Simulator(
-                values,
-                watch.told,
-            )
+            simulator = Simulator(values, scribe.truth_end)
             progress.say("starting the vehicles (the first start on a machine compiles the model: about half a minute)")
-        _warm_up(design, flight, _model(flight, design))
+        scribe.wait_ready()
+        watch = _Watch(scribe)
+        _warm_up(design, flight)
         sys.setswitchinterval(SWITCH_S)
-        gc.collect()
-        gc.freeze()  # what is loaded by now need not be looked through again in mid-flight
+        few_collections()
         with _interrupts() as interrupted:
             if simulator is not None and not simulator.wait_ready(lambda: not interrupted()):
                 outcome = Outcome(False, interrupted(), simulator.failure or "interrupted by the user")
@@ -185,7 +118,9 @@ def _run(flight: Flight, design: Design, options: Options, progress: Progress) -
                 outcome, timing = _fly(flight, design, link, watch, simulator, interrupted, progress)
         if simulator is not None:
             simulator.stop()
-        watch.finish(outcome.completed)
+        true_tension_N = scribe.smallest_tension_N(outcome.completed)
+        if math.isfinite(true_tension_N):  # the simulator knows every link's; the tracker told the load's end
+            watch.track.min_tension_N = true_tension_N
         missed = 0
         if simulator is not None and simulator.report is not None:
             missed = simulator.report.missed_deadlines + simulator.report.missed_answers
@@ -193,18 +128,18 @@ def _run(flight: Flight, design: Design, options: Options, progress: Progress) -
             flight.scenario.name, flight.scenario.acceptance, watch.track, outcome, timing,
             link.counters.sent, link.counters.lost, missed, n,
         )  # fmt: skip
-        recorder.metadata(
-            "result", {k: json.dumps(v) for k, v in summary._asdict().items() if k not in ("log", "replay")}
-        )
-        path = recorder.finish()
-        if recorder.error is not None:
-            summary = summary._replace(passed=False, reason=recorder.error)
+        path = scribe.finish({k: json.dumps(v) for k, v in summary._asdict().items() if k not in ("log", "replay")})
+        if scribe.error is not None:
+            summary = summary._replace(passed=False, reason=scribe.error)
         return summary._replace(log=str(path)), outcome.interrupted
     finally:
         sys.setswitchinterval(before)
+        gc.set_threshold(*thresholds)
         gc.unfreeze()
         if simulator is not None:
             simulator.stop()
+        if scribe is not None:
+            scribe.close()
         link.close()
 
 
@@ -226,15 +161,15 @@ def _fly(
     def look(phase: str, sample: Sample | None) -> str | None:
         if interrupted():
             return "interrupted by the user"
-        if watch.recorder.error is not None:
-            return watch.recorder.error
+        if watch.scribe.error is not None:
+            return watch.scribe.error
         if simulator is not None and simulator.failure is not None:
             return simulator.failure
         if sample is not None and phase == "fly":
             now = time.monotonic()
             if not started:
                 started.append(now)
-            error = float(np.linalg.norm(sample.error.x[:3]))
+            error = math.hypot(*sample.error.x[:3].tolist())
             progress.flown(sample.t, s.duration_s, error, sample.t / max(1e-9, now - started[0]))
         return None
 
@@ -249,20 +184,16 @@ def _endpoints(n: int, options: Options) -> list[Endpoint]:
     return [Endpoint((HOST, port + options.port_offset), None) for port in ports]
 
 
-def _warm_up(design: Design, flight: Flight, model: Model) -> None:
-    """Compile what the loop and the writer call before a clock runs: one decision, encoded as it will be."""
+def _warm_up(design: Design, flight: Flight) -> None:
+    """Compile what the loop calls before a clock runs: one decision and the messages it takes."""
     here = Reference(flight.initial.x0, np.zeros(3))
     _, sample = tick(first_memory(design), Measurement(0.0, flight.initial), here, design)
-    encode.control(0, sample, [0.0] * len(model.max_thrust), False)
-    motion = encode.measured_motion(model, sample, [0.0] * len(model.max_thrust), sample.f)
-    encode.plant(0, True, motion)
-    encode.transforms(model, motion, 0, True)
     for value in (
         VehicleAttitude(0, sample.state.R[0], sample.state.Omega[0]),
         PayloadState(0, sample.state.x0, sample.state.v0, sample.state.R0, sample.state.Omega0),
-        attitude_target(0, 1, sample.R_c[0], 0.5),
+        attitude_target(0, 1, (1.0, 0.0, 0.0, 0.0), 0.5),
     ):
-        decode(encode_message(value))
+        reread(encode_message(value))
 
 
 @contextmanager
@@ -287,7 +218,7 @@ def _interrupts() -> Iterator[Callable[[], bool]]:
             signal.signal(number, handler)
 
 
-def _recorder(flight: Flight, design: Design, options: Options) -> Recorder:
+def _opening(flight: Flight, design: Design, options: Options) -> Opening:
     s = flight.scenario
     try:
         options.out.mkdir(parents=True, exist_ok=True)
@@ -314,7 +245,7 @@ def _recorder(flight: Flight, design: Design, options: Options) -> Recorder:
         "vehicles": "connected" if options.connect else "built-in",
     }
     gains = {"K_x": design.K_x.tolist(), "K_xdot": design.K_xdot.tolist(), "u_star": design.u_star.tolist()}
-    return Recorder(
+    return Opening(
         path,
         model,
         {

@@ -1,5 +1,6 @@
-"""The simulator as a process of its own: vehicles on their ports, truth into a one-way channel."""
+"""The simulator as a process of its own: vehicles on their ports, truth into a one-way channel to the scribe."""
 
+import contextlib
 import gc
 import multiprocessing
 import os
@@ -9,11 +10,12 @@ from collections.abc import Callable
 from multiprocessing.connection import Connection
 
 from bridge.link import LinkError
-from missions.channel import Failure, Message, Ready, put, take
+from missions.channel import Failure, Ready, Status, put
 from missions.scenario import Flight
 from sitl.plant import PhysicsError, Truth
 from sitl.server import Event, Report, Server, Settings
 
+TOLD_TOGETHER = 8  # ticks of truth in one write: a wake-up of the scribe costs more than what it is told
 START_S = 180.0  # the first start on a machine compiles the model
 
 
@@ -38,51 +40,64 @@ def settings(
     )
 
 
-def _child(values: Settings, channel: Connection) -> None:
+def few_collections() -> None:
+    """Leave out of garbage collection what is loaded by now, and collect the rest rarely: the loops make no cycles."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(50_000, 20, 100)
+
+
+def _child(values: Settings, status: Connection, truth: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides when a flight ends
     stopped = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: stopped.set())
     parent = os.getppid()
 
+    waiting: list[Truth | Event] = []
+
     def sink(message: Truth | Event) -> None:
-        put(channel, message)
+        waiting.append(message)
+        if len(waiting) >= TOLD_TOGETHER or isinstance(message, Event):
+            put(truth, waiting)
+            waiting.clear()
 
     try:
         server = Server(values, sink)
     except LinkError as error:
-        put(channel, Failure(str(error)))
+        status.send(Failure(str(error)))
         return
     try:
-        gc.collect()
-        gc.freeze()  # what is loaded by now need not be looked through again while the clock runs
-        put(channel, Ready())
+        few_collections()
+        status.send(Ready())
         report = server.run(lambda: stopped.is_set() or os.getppid() != parent)
-        put(channel, report)
+        status.send(report)
     except PhysicsError as error:
-        put(channel, Failure(f"physics: {error} (t = {server.now_us * 1e-6:.2f} s of the vehicles' clock)"))
+        status.send(Failure(f"physics: {error} (t = {server.now_us * 1e-6:.2f} s of the vehicles' clock)"))
     except BrokenPipeError:
         return
     finally:
         server.close()
-        channel.close()
+        with contextlib.suppress(BrokenPipeError):
+            put(truth, waiting)
+        truth.close()
+        status.close()
 
 
 class Simulator:
-    """The child process and the thread that empties its channel."""
+    """The child process and the thread that hears how it fares."""
 
-    def __init__(self, values: Settings, told: Callable[[Truth | Event], None]) -> None:
+    def __init__(self, values: Settings, truth: Connection) -> None:
+        """`truth` is where the child writes what it does; this process never reads it."""
         context = multiprocessing.get_context("spawn")
         receive, send = context.Pipe(duplex=False)
         self.failure: str | None = None
         self.report: Report | None = None
         self._ready = threading.Event()
-        self._shape = values.system.length.shape
-        self._told = told
-        self._process = context.Process(target=_child, args=(values, send), name="cablequad-sitl", daemon=True)
+        self._process = context.Process(target=_child, args=(values, send, truth), name="cablequad-sitl", daemon=True)
         self._process.start()
         send.close()
         self._receive = receive
-        self._thread = threading.Thread(target=self._drain, name="truth", daemon=True)
+        self._thread = threading.Thread(target=self._drain, name="simulator", daemon=True)
         self._thread.start()
 
     def wait_ready(self, waiting: Callable[[], bool]) -> bool:
@@ -105,15 +120,12 @@ class Simulator:
             self._process.kill()
 
     def _drain(self) -> None:
-        n, L = self._shape
         while True:
             try:
-                message: Message = take(self._receive.recv_bytes(), n, L)
+                message: Status = self._receive.recv()
             except (EOFError, OSError):
                 break
             match message:
-                case Truth() | Event():
-                    self._told(message)
                 case Report():
                     self.report = message
                 case Failure():

@@ -1,5 +1,6 @@
 """What a flight amounted to, and whether its own criteria hold."""
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,7 +28,7 @@ class Track:
         self.last = sample
         self.max_psi = max(self.max_psi, float(sample.Psi.max()))
         self.max_thrust_N = max(self.max_thrust_N, float(sample.f.max()))
-        if float(np.linalg.norm(sample.error.x[:3])) > SETTLED_M:
+        if math.hypot(*sample.error.x[:3].tolist()) > SETTLED_M:
             self.settled_from = None
         elif self.settled_from is None:
             self.settled_from = sample.t

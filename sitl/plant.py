@@ -57,14 +57,13 @@ class Plant:
 
     def command(self, actuation: Sequence[Actuation]) -> None:
         """What acts from now on."""
-        throttle = np.array([a.throttle for a in actuation])
-        self.thrust = self.airframe.max_thrust * np.clip(throttle, 0.0, 1.0) ** 2
-        self._setpoint = Setpoint(
-            np.array([a.R_c for a in actuation]),
-            np.array([a.Omega_c for a in actuation]),
-            self.thrust,
-            np.array([a.rate_only for a in actuation]),
-        )
+        n = len(actuation)
+        R_c, Omega_c = np.empty((n, 3, 3)), np.empty((n, 3))
+        for i, a in enumerate(actuation):
+            R_c[i], Omega_c[i] = a.R_c, a.Omega_c
+        throttle = np.array([min(max(a.throttle, 0.0), 1.0) for a in actuation])
+        self.thrust = self.airframe.max_thrust * throttle**2
+        self._setpoint = Setpoint(R_c, Omega_c, self.thrust, np.array([a.rate_only for a in actuation]))
 
     def advance(self, steps: int) -> None:
         """`steps` physics steps under what was commanded. Raises PhysicsError when the state is no longer finite."""

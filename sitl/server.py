@@ -10,7 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bridge.link import GROUND_PORT, LISTEN_PORT, TRACKER_PORTS, Endpoint, Link, Received, vehicle_ports
+from bridge.link import Endpoint, Link, Received
+from bridge.ports import GROUND_PORT, LISTEN_PORT, TRACKER_PORTS, vehicle_ports
 from bridge.wire.messages import encode
 from bridge.wire.telemetry import BUILD, Home, Snapshot
 from bridge.wire.values import IN_AIR, ON_GROUND, AttitudeTarget, Timesync
@@ -21,7 +22,7 @@ from cablequad.types import Array
 from sitl import tracker
 from sitl.firmware import hold
 from sitl.firmware.modes import Mode
-from sitl.firmware.px4 import ATTITUDE_QUATERNION, Px4
+from sitl.firmware.px4 import ATTITUDE_QUATERNION, HIGHRES_IMU, Px4
 from sitl.plant import Plant, Truth
 
 CONTROLLER = (250, 191)  # whose setpoints may hold the clock
@@ -104,6 +105,7 @@ class Server:
         self._controller_port = list(range(self.n))
         self._answered = [-1] * self.n
         self._expected = [False] * self.n
+        self._ahead: tuple[tuple[Array, Array], list[Snapshot]] | None = None
         self._missed_answers = 0
         self._missed_deadlines = 0
         self._lateness: list[float] = []
@@ -157,17 +159,29 @@ class Server:
         for i, vehicle in enumerate(self.vehicles):
             self._deliver(i, vehicle, now)
             vehicle.tick(now)
-        self._release_or_reset(now)
-        x, v = self.plant.kinematics()
-        own = self._snapshots(now, x, v)
+        if self._release_or_reset(now) or self._ahead is None:
+            self._look_ahead(now)
+        assert self._ahead is not None
+        (x, v), own = self._ahead
         self.plant.command([vehicle.actuation(own[i]) for i, vehicle in enumerate(self.vehicles)])
         truth = self.plant.truth(now, x, v)
-        force = self.plant.specific_force(truth)
+        force = self.plant.specific_force(truth) if any(v.will_tell(HIGHRES_IMU, now) for v in self.vehicles) else None
         for i, vehicle in enumerate(self.vehicles):
-            self._speak(i, vehicle, vehicle.snapshot(own[i]._replace(specific_force=force[i])))
+            felt = own[i] if force is None else own[i]._replace(specific_force=force[i])
+            self._speak(i, vehicle, vehicle.snapshot(felt))
         self._track(truth)
+        self.link.flush()  # the controller thinks while the physics goes on
         self._sink(truth)
         self.plant.advance(s.tick_us // s.physics_us)
+        self._look_ahead(now + s.tick_us)
+        assert self._ahead is not None
+        for i, vehicle in enumerate(self.vehicles):
+            vehicle.prepare(self._ahead[1][i], self._audible(i))
+
+    def _look_ahead(self, now: int) -> None:
+        """What is known of the tick at `now` before its answers are in: the motion is decided a tick ahead."""
+        x, v = self.plant.kinematics()
+        self._ahead = (x, v), self._snapshots(now, x, v)
 
     def _deliver(self, i: int, vehicle: Px4, now: int) -> None:
         waiting = []
@@ -179,7 +193,8 @@ class Server:
                 waiting.append((due, frame))
         self._inbox[i] = waiting
 
-    def _release_or_reset(self, now: int) -> None:
+    def _release_or_reset(self, now: int) -> bool:
+        """Whether the motion was changed by hand."""
         if self.plant.held:
             if all(v.armed and v.mode is Mode.OFFBOARD and v.fresh_setpoint(now) for v in self.vehicles):
                 self.plant.held = False
@@ -191,17 +206,24 @@ class Server:
             self._sink(Event(now, "reset", "all", "every vehicle is disarmed: back to the initial state, held"))
             for vehicle in self.vehicles:
                 vehicle.set_landed(ON_GROUND)
+                vehicle.forget_prepared()
+            return True
+        return False
 
     def _speak(self, i: int, vehicle: Px4, snapshot: Snapshot) -> None:
         ports = (i, self.n + i, 2 * self.n)
-        audible = tuple(bool(self.link.ports[p].addresses()) for p in ports)
+        audible = self._audible(i)
         self._expected[i] = False
         for out in vehicle.outgoing(snapshot, audible):
             for link, port in enumerate(ports):
                 if out.link in (None, link) and audible[link]:
                     self.link.send(port, vehicle.system_id, 1, out.message)
-                    if out.message.get_msgId() == ATTITUDE_QUATERNION and port == self._controller_port[i]:
+                    if out.message.msgid == ATTITUDE_QUATERNION and port == self._controller_port[i]:
                         self._expected[i] = True
+
+    def _audible(self, i: int) -> tuple[bool, ...]:
+        """On which of vehicle i's links somebody may listen."""
+        return tuple(bool(self.link.ports[p].addresses()) for p in (i, self.n + i, 2 * self.n))
 
     def _track(self, truth: Truth) -> None:
         n_links = self.settings.system.n_links
@@ -213,9 +235,9 @@ class Server:
             for message in tracker.high_rate(truth, n_links):
                 self.link.send(ground - 1, tracker.SYSTEM, tracker.COMPONENT, message)
 
-    def _receive(self, timeout: float) -> None:
+    def _receive(self, timeout: float, closing: int | None = None) -> None:
         now = self.now_us
-        for frame in self.link.poll(timeout):
+        for frame in self.link.poll(timeout, closing):
             value = frame.value
             if value is None or frame.port > 2 * self.n:
                 if isinstance(value, Timesync) and value.tc1 == 0:
@@ -251,6 +273,7 @@ class Server:
     def _barrier(self, stop: Callable[[], bool]) -> None:
         now_ms = self.now_us // 1000
         deadline = self.link.now() + self.settings.answer_timeout_s
+        closing: int | None = max(self._controller_port)  # the controller answers vehicle by vehicle
         while not stop():
             missing = [
                 i for i in range(self.n) if self._engaged[i] and self._expected[i] and self._answered[i] != now_ms
@@ -268,7 +291,8 @@ class Server:
                     Event(self.now_us, "answer-missing", names, f"no setpoint for this tick from vehicle {names}")
                 )
                 return
-            self._receive(min(left, 0.1))
+            self._receive(min(left, 0.1), closing)
+            closing = None
 
     def _pace(self) -> None:
         s = self.settings

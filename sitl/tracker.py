@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from bridge.wire.dialect import Message, mavlink
+from bridge.wire.dialect import mavlink
+from bridge.wire.frames import Packed, pack
 from bridge.wire.messages import cable_frames, encode
 from bridge.wire.values import CableShape, Heartbeat, PayloadState, VehicleAttitude, VehiclePosition
 from sitl.plant import Truth
@@ -14,7 +15,7 @@ ARRAY_US = 500_000
 ARRAY_FLOATS = 58
 
 
-def high_rate(truth: Truth, n_links: np.ndarray) -> list[Message]:
+def high_rate(truth: Truth, n_links: np.ndarray) -> list[Packed]:
     """CABLE_STATE of every cable, then ODOMETRY of the payload, which closes the tick."""
     s, us = truth.state, truth.boot_us
     out = []
@@ -25,10 +26,10 @@ def high_rate(truth: Truth, n_links: np.ndarray) -> list[Message]:
     return out
 
 
-def low_rate(truth: Truth, n_links: np.ndarray) -> list[Message]:
+def low_rate(truth: Truth, n_links: np.ndarray) -> list[Packed]:
     """What is due at this tick for maps and stock tools: heartbeat 1 Hz, pose 10 Hz, cables as plain arrays 2 Hz."""
     s, us = truth.state, truth.boot_us
-    out: list[Message] = []
+    out: list[Packed] = []
     if us % HEARTBEAT_US == 0:
         beat = Heartbeat(
             mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE
@@ -41,5 +42,5 @@ def low_rate(truth: Truth, n_links: np.ndarray) -> list[Message]:
         for i, k in enumerate(n_links.tolist()):
             links = np.concatenate([s.q[i, :k], s.omega[i, :k]], axis=1).ravel()[:ARRAY_FLOATS]
             data = links.tolist() + [0.0] * (ARRAY_FLOATS - len(links))
-            out.append(mavlink.MAVLink_debug_float_array_message(us, b"cable", i + 1, data))
+            out.append(pack(mavlink.MAVLink_debug_float_array_message, us, i + 1, b"cable", *data))
     return out

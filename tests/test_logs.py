@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from bridge.link import Sent
 from cablequad.attitude import Airframe
 from cablequad.design import Weights, sampled_law
 from cablequad.pilot import Measurement, Reference, first_memory, tick
@@ -20,7 +19,7 @@ from cablequad.system import System
 from logs import recorder as recorders
 from logs.encode import Model, Motion
 from logs.reader import LogError, entries, is_complete, read
-from logs.recorder import Attachment, Recorder, RecorderError
+from logs.recorder import Attachment, Frame, Recorder, RecorderError
 from logs.schema import generate
 from missions.run import drawn_model
 
@@ -50,7 +49,7 @@ def write(path: Path, ticks: int, epoch_ns: int = recorders.EPOCH_NS) -> Recorde
         memory, sample = tick(memory, Measurement(us * 1e-6, m.state), Reference(np.zeros(3), np.zeros(3)), DESIGN)
         out.truth(us, False, m)
         out.decided(us, sample, [1.0] * 4, True)
-        out.sent(us, Sent(250, 191, k & 255, 82, "SET_ATTITUDE_TARGET", bytes([k & 255] * 40)), 1)
+        out.frames(us, "tx", [Frame(1, bytes([k & 255] * 40), 82, 250, 191, k & 255, "SET_ATTITUDE_TARGET")])
         if k % 250 == 0:
             out.perf(us, 1e-4, k)
     return out
@@ -172,7 +171,7 @@ def test_a_full_disk_ends_the_recording_with_a_line_and_keeps_what_was_flushed(
         time.sleep(0.01)
         for _ in range(20):
             out.truth(10**6 + 4000 * k, False, motion(0.5))
-            out.sent(10**6, Sent(1, 1, 1, 1, "X", np.random.default_rng(k).bytes(2000)), 1)
+            out.frames(10**6, "tx", [Frame(1, np.random.default_rng(k).bytes(2000), 1, 1, 1, 1, "X")])
     path = out.finish()
     assert out.error is not None
     assert "No space left on device" in out.error

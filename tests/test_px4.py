@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bridge.wire.dialect import mavlink
-from bridge.wire.messages import decode, param_bits, param_int
+from bridge.wire.messages import param_bits, param_int, reread
 from bridge.wire.telemetry import Home, Snapshot
 from bridge.wire.values import (
     IN_AIR,
@@ -57,7 +57,7 @@ class Bench:
             )  # fmt: skip
             self.act = self.vehicle.actuation(s)
             out = self.vehicle.outgoing(self.vehicle.snapshot(s), (True, False, False))
-            self.heard += [decode(o.message) for o in out if o.link in (0, None)]
+            self.heard += [reread(o.message) for o in out if o.link in (0, None)]
 
     def send(self, value: object) -> None:
         self.vehicle.handle(0, 255, 190, value, self.now)
@@ -338,7 +338,7 @@ def test_streams_run_at_their_rates_and_follow_set_message_interval() -> None:
                 (bench.R, bench.Omega, 0.0), Home(),
             )  # fmt: skip
             out = bench.vehicle.outgoing(s, (True, True, False))
-            total += sum(o.message.get_msgId() == msgid and o.link in (0, None) for o in out)
+            total += sum(o.message.msgid == msgid and o.link in (0, None) for o in out)
         return total
 
     assert count(30) == pytest.approx(100, abs=3)

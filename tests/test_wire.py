@@ -3,6 +3,7 @@
 import math
 import socket
 import struct
+import time
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,8 @@ from hypothesis import strategies as st
 from bridge.link import Endpoint, Link, LinkError
 from bridge.wire import generate
 from bridge.wire.dialect import CABLE_STATE, mavlink
-from bridge.wire.messages import WireError, attitude_target, cable_frames, decode, encode, param_bits, param_int
+from bridge.wire.frames import Signer, Verdict, frame, packed
+from bridge.wire.messages import WireError, attitude_target, cable_frames, encode, param_bits, param_int, reread
 from bridge.wire.telemetry import BUILD, Home, Snapshot
 from bridge.wire.values import (
     AttitudeTarget,
@@ -41,8 +43,7 @@ from cablequad import lie
 
 
 def over_the_wire(value: object) -> object:
-    codec = mavlink.MAVLink(None, 7, 1)
-    return decode(codec.decode(bytearray(encode(value).pack(codec))))
+    return reread(encode(value))
 
 
 def equal(a: object, b: object) -> None:
@@ -113,9 +114,9 @@ def test_cables_of_any_length_arrive_whole(n_links: int) -> None:
 @pytest.mark.parametrize("thrust", [math.nan, math.inf, -math.inf])
 def test_a_setpoint_that_is_not_finite_never_becomes_a_message(thrust: float) -> None:
     with pytest.raises(WireError, match="vehicle 2: non-finite setpoint"):
-        attitude_target(4, 2, np.eye(3), thrust)
+        attitude_target(4, 2, (1.0, 0.0, 0.0, 0.0), thrust)
     with pytest.raises(WireError, match="vehicle 2"):
-        attitude_target(4, 2, np.full((3, 3), math.nan), 0.5)
+        attitude_target(4, 2, (1.0, 0.0, math.nan, 0.0), 0.5)
 
 
 @given(st.integers(-(2**31), 2**31 - 1))
@@ -128,8 +129,61 @@ def test_every_streamed_message_can_be_built_and_packed() -> None:
     snapshot = Snapshot(10**6, R, V, V, V, V, 0.6, True, 2, (R, V, 0.5), Home())
     codec = mavlink.MAVLink(None, 1, 1)
     for msgid, build in BUILD.items():
-        frame = build(snapshot).pack(codec)
-        assert codec.decode(bytearray(frame)).get_msgId() == msgid
+        message = codec.decode(bytearray(frame(build(snapshot), 3, 1, 1)))
+        assert message.get_msgId() == msgid
+        codec.seq = 3
+        assert bytes(message.pack(codec)) == frame(build(snapshot), 3, 1, 1)  # byte for byte as pymavlink packs it
+
+
+def pymavlinks(value: object) -> bytes:
+    """The frame that pymavlink's own objects make of a value."""
+    codec = mavlink.MAVLink(None, 9, 1)
+    codec.seq = 77
+    return bytes(codec.decode(bytearray(frame(encode(value), 77, 9, 1))).pack(codec))
+
+
+@given(st.lists(st.floats(-50, 50, width=32), min_size=12, max_size=12), st.integers(0, 2**32 - 1))
+def test_the_quick_codec_and_pymavlink_make_the_same_bytes(v: list[float], boot_ms: int) -> None:
+    """Both directions: what we frame is what pymavlink frames from the same fields, cut zeros included."""
+    turn, a, b = lie.exp(np.array(v[0:3])), np.array(v[3:6]), np.array(v[6:9])
+    values = (
+        VehicleAttitude(boot_ms, turn, a),
+        VehiclePosition(boot_ms, a, np.zeros(3)),
+        PayloadState(boot_ms, a, b, turn, a),
+        CableShape(boot_ms, 1, 1, 0, v[9], np.array([[0.0, 0.0, 1.0]]), np.zeros((1, 3))),
+        AttitudeTarget(boot_ms, 3, 1, 7, (1.0, 0.0, 0.0, 0.0), (v[9], v[10], v[11]), 0.5),
+    )
+    for value in values:
+        assert frame(encode(value), 77, 9, 1) == pymavlinks(value)
+
+
+def test_signed_frames_are_those_of_pymavlink() -> None:
+    key = bytes(range(32))
+    signer, codec = Signer(key, 5), mavlink.MAVLink(None, 9, 1)
+    signer.stamp = 1234
+    codec.signing.secret_key, codec.signing.link_id, codec.signing.timestamp = key, 5, 1235
+    codec.signing.sign_outgoing = True
+    beat = mavlink.MAVLink_heartbeat_message(2, 12, 1, 0, 3, 3)
+    assert frame(packed(beat), 0, 9, 1, signer) == bytes(beat.pack(codec))
+
+
+def test_signatures_are_believed_only_once_and_only_when_they_are_right() -> None:
+    key, beat = b"k" * 32, encode(Heartbeat(2, 12, 1, 0, 3))
+    sender, receiver = Signer(key, 1), Signer(key, 2)
+    sender.at(1.8e9)
+    receiver.at(1.8e9)
+    first, second = frame(beat, 0, 9, 1, sender), frame(beat, 1, 9, 1, sender)
+    forged = bytearray(second)
+    forged[-7:-1] = b"\xff" * 6  # a stamp from the far future, and no key
+    assert receiver.judge(bytes(forged)) is Verdict.WRONG
+    assert receiver.judge(first) is Verdict.GOOD  # the forgery has not moved the clock
+    assert receiver.judge(first) is Verdict.REPLAYED
+    assert receiver.judge(second) is Verdict.GOOD
+    assert receiver.judge(frame(beat, 2, 9, 1)) is Verdict.UNSIGNED
+    assert receiver.judge(frame(beat, 2, 9, 1, Signer(b"x" * 32, 1))) is Verdict.WRONG
+    old = Signer(key, 7)
+    old.at(1.8e9 - 120)  # a recording of two minutes ago, on a stream not heard before
+    assert receiver.judge(frame(beat, 0, 9, 1, old)) is Verdict.REPLAYED
 
 
 class TestLink:
@@ -142,9 +196,7 @@ class TestLink:
         return Link([Endpoint(address, None)]), other, address
 
     def frame(self, seq: int, value: object = Heartbeat(2, 12, 1, 0, 3)) -> bytes:
-        codec = mavlink.MAVLink(None, 9, 1)
-        codec.seq = seq
-        return bytes(encode(value).pack(codec))
+        return frame(encode(value), seq, 9, 1)
 
     def test_frames_come_out_with_their_header(self, offset: int) -> None:
         link, other, address = self.pair(offset)
@@ -194,7 +246,9 @@ class TestLink:
             Link([Endpoint(address, None)])
         link.close()
 
-    @pytest.mark.parametrize("url", ["", "14540", "tcp:1.2.3.4", "udpin:localhost", "udpin:h:99999", "serial:/dev/x:9"])
+    @pytest.mark.parametrize(
+        "url", ["", "14540", "tcp:1.2.3.4", "tcpin::70", "udpin:localhost", "udpin:h:99999", "serial:/dev/x:9"]
+    )
     def test_addresses_that_make_no_sense_say_how_to_write_them(self, url: str) -> None:
         with pytest.raises(LinkError, match="udpin:HOST:PORT"):
             Endpoint.parse(url)
@@ -207,3 +261,51 @@ class TestLink:
         assert seqs == [0, 0, 1, 2, 1]
         link.close()
         assert address
+
+    def test_frames_of_one_breath_share_a_datagram(self, offset: int) -> None:
+        link, other, address = self.pair(offset)
+        for _ in range(3):
+            link.send(0, 1, 1, encode(Heartbeat(2, 12, 1, 0, 3)), other.getsockname())
+        link.flush()
+        datagram = other.recv(2000)
+        assert len(datagram) == 3 * 21
+        assert [f[4] for f in (datagram[0:21], datagram[21:42], datagram[42:63])] == [0, 1, 2]
+        link.close()
+        assert address
+
+    def test_a_key_refuses_commands_without_signature_and_may_let_telemetry_pass(self, offset: int) -> None:
+        _, other, _ = self.pair(offset)
+        address = ("127.0.0.1", 21500 + offset)
+        key = b"k" * 32
+        link = Link([Endpoint(address, None)], Signer(key, 1, accept_unsigned_telemetry=True))
+        signer = Signer(key, 2)
+        signer.at(time.time())
+        command = Command(1, 1, 400, (1.0, 0, 0, 0, 0, 0, 0))
+        other.sendto(self.frame(0) + self.frame(1, command) + frame(encode(command), 2, 9, 1, signer), address)
+        other.sendto(frame(encode(command), 3, 9, 1, Signer(b"x" * 32, 1)), address)
+        got = [f for _ in range(3) for f in link.poll(0.05)]
+        assert [f.name for f in got] == ["HEARTBEAT", "COMMAND_LONG"]
+        assert link.counters.refused == {Verdict.UNSIGNED: 1, Verdict.WRONG: 1, Verdict.REPLAYED: 0}
+        link.close()
+
+    def test_tcp_carries_frames_however_they_are_cut(self, offset: int) -> None:
+        server = Link([Endpoint.parse(f"tcpin:127.0.0.1:{22000 + offset}")])
+        client = Link([Endpoint.parse(f"tcp:127.0.0.1:{22000 + offset}")])
+        client.poll(0.0)  # connects
+        server.poll(0.1)
+        raw = socket.create_connection(("127.0.0.1", 22000 + offset))
+        server.poll(0.1)
+        whole = self.frame(0) + self.frame(1, Timesync(0, 5))
+        got = []
+        for k in range(len(whole)):
+            raw.sendall(whole[k : k + 1])
+            got += server.poll(0.01)
+        assert [f.name for f in got] == ["HEARTBEAT", "TIMESYNC"]
+        server.send(0, 1, 1, encode(Heartbeat(2, 12, 1, 0, 3)))
+        server.poll(0.0)
+        assert [f.name for f in client.poll(0.5)] == ["HEARTBEAT"]
+        raw.close()
+        server.poll(0.1)
+        assert len(server.ports[0].addresses()) == 1
+        client.close()
+        server.close()

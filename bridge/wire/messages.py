@@ -2,12 +2,13 @@
 
 import math
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
 from bridge.wire.dialect import CABLE_STATE, Message, mavlink
+from bridge.wire.frames import Packed, frame, pack, packed, payload_of, unpack
 from bridge.wire.values import (
     AttitudeTarget,
     CableShape,
@@ -31,24 +32,30 @@ from bridge.wire.values import (
     VehiclePosition,
 )
 from cablequad import lie
+from cablequad.types import Array
 
 LINKS_PER_FRAME = 10
 TEXT_BYTES = 50
 ATTITUDE_AND_THRUST = 7  # type mask: body rates ignored
 
-_NAN_COVARIANCE = [math.nan] + [0.0] * 20
+Fields = tuple[Any, ...]  # of a message in wire order, arrays flat
+
+_UNKNOWN = [math.nan] + [0.0] * 20  # a covariance
+_ATTITUDE = mavlink.MAVLink_attitude_quaternion_message
+_POSITION = mavlink.MAVLink_local_position_ned_message
+_ODOMETRY = mavlink.MAVLink_odometry_message
+_TARGET = mavlink.MAVLink_set_attitude_target_message
 
 
 class WireError(ValueError):
     """A value that may not go on the wire."""
 
 
-def attitude_target(boot_ms: int, system: int, R_c: Any, thrust: float) -> AttitudeTarget:
+def attitude_target(boot_ms: int, system: int, quat_wxyz: Sequence[float], thrust: float) -> AttitudeTarget:
     """The one setpoint our bridge sends: type mask 7, unit quaternion, component 1. Raises WireError if not finite."""
-    quat = lie.quat_from_rotation(R_c)
-    if not (math.isfinite(thrust) and np.all(np.isfinite(quat))):
-        raise WireError(f"vehicle {system}: non-finite setpoint (thrust {thrust}, quaternion {quat.tolist()})")
-    w, x, y, z = quat.tolist()
+    w, x, y, z = quat_wxyz
+    if not math.isfinite(w + x + y + z + thrust):
+        raise WireError(f"vehicle {system}: non-finite setpoint (thrust {thrust}, quaternion {[w, x, y, z]})")
     return AttitudeTarget(boot_ms, system, 1, ATTITUDE_AND_THRUST, (w, x, y, z), (0.0, 0.0, 0.0), thrust)
 
 
@@ -92,81 +99,61 @@ def _read_heartbeat(m: Message) -> Heartbeat:
     return Heartbeat(m.type, m.autopilot, m.base_mode, m.custom_mode, m.system_status)
 
 
-def _attitude(v: VehicleAttitude) -> Message:
-    w, x, y, z = lie.quat_from_rotation(v.R).tolist()
-    p, q, r = v.Omega.tolist()
-    return mavlink.MAVLink_attitude_quaternion_message(v.boot_ms, w, x, y, z, p, q, r)
+def _attitude(v: VehicleAttitude) -> Packed:
+    return pack(_ATTITUDE, v.boot_ms, *lie.quat_from_rotation(v.R).tolist(), *v.Omega.tolist(), 0.0, 0.0, 0.0, 0.0)
 
 
-def _read_attitude(m: Message) -> VehicleAttitude:
-    R = lie.rotation_from_quat(np.array((m.q1, m.q2, m.q3, m.q4)))
-    return VehicleAttitude(m.time_boot_ms, R, np.array((m.rollspeed, m.pitchspeed, m.yawspeed)))
+def _read_attitude(f: Fields) -> VehicleAttitude:
+    return VehicleAttitude(f[0], lie.rotation_from_quat(np.array(f[1:5])), np.array(f[5:8]))
 
 
-def _position(v: VehiclePosition) -> Message:
-    return mavlink.MAVLink_local_position_ned_message(v.boot_ms, *v.x.tolist(), *v.v.tolist())
+def _position(v: VehiclePosition) -> Packed:
+    return pack(_POSITION, v.boot_ms, *v.x.tolist(), *v.v.tolist())
 
 
-def _read_position(m: Message) -> VehiclePosition:
-    return VehiclePosition(m.time_boot_ms, np.array((m.x, m.y, m.z)), np.array((m.vx, m.vy, m.vz)))
+def _read_position(f: Fields) -> VehiclePosition:
+    return VehiclePosition(f[0], np.array(f[1:4]), np.array(f[4:7]))
 
 
-def _payload(v: PayloadState) -> Message:
-    quat = lie.quat_from_rotation(v.R0).tolist()
-    body = (v.R0.T @ v.v0).tolist()
-    return mavlink.MAVLink_odometry_message(
-        v.boot_us,
-        mavlink.MAV_FRAME_LOCAL_NED,
-        mavlink.MAV_FRAME_BODY_NED,
-        *v.x0.tolist(),
-        quat,
-        *body,
-        *v.Omega0.tolist(),
-        _NAN_COVARIANCE,
-        _NAN_COVARIANCE,
-        0,
-        mavlink.MAV_ESTIMATOR_TYPE_MOCAP,
-        100,
-    )
+def odometry(boot_us: int, x: Array, v: Array, R: Array, Omega: Array, child: int, estimator: int) -> Packed:
+    """ODOMETRY of a body: v is in the world frame, as everywhere here; on the wire it is in the body's."""
+    return pack(
+        _ODOMETRY, boot_us, *x.tolist(), *lie.quat_from_rotation(R).tolist(), *(v @ R).tolist(), *Omega.tolist(),
+        *_UNKNOWN, *_UNKNOWN, mavlink.MAV_FRAME_LOCAL_NED, child, 0, estimator, 100,
+    )  # fmt: skip
 
 
-def _read_payload(m: Message) -> PayloadState | None:
-    if m.frame_id != mavlink.MAV_FRAME_LOCAL_NED:
+def _payload(v: PayloadState) -> Packed:
+    child, estimator = mavlink.MAV_FRAME_BODY_NED, mavlink.MAV_ESTIMATOR_TYPE_MOCAP
+    return odometry(v.boot_us, v.x0, v.v0, v.R0, v.Omega0, child, estimator)
+
+
+def _read_payload(f: Fields) -> PayloadState | None:
+    if f[56] != mavlink.MAV_FRAME_LOCAL_NED:
         return None
-    R0 = lie.rotation_from_quat(np.array(m.q, dtype=float))
-    return PayloadState(
-        m.time_usec,
-        np.array((m.x, m.y, m.z)),
-        R0 @ np.array((m.vx, m.vy, m.vz)),
-        R0,
-        np.array((m.rollspeed, m.pitchspeed, m.yawspeed)),
-    )
+    R0 = lie.rotation_from_quat(np.array(f[4:8]))
+    return PayloadState(f[0], np.array(f[1:4]), R0 @ np.array(f[8:11]), R0, np.array(f[11:14]))
 
 
-def _cable(v: CableShape) -> Message:
+def _cable(v: CableShape) -> Packed:
     links = np.concatenate([v.q, v.omega], axis=1).ravel().tolist()
-    links += [0.0] * (6 * LINKS_PER_FRAME - len(links))
-    return CABLE_STATE(v.boot_us, v.tension_N, v.cable, v.n_links, v.first_link, links)
+    spare = [0.0] * (6 * LINKS_PER_FRAME - len(links))
+    return pack(CABLE_STATE, v.boot_us, v.tension_N, v.cable, v.n_links, v.first_link, *links, *spare)
 
 
-def _read_cable(m: Message) -> CableShape:
-    k = max(0, min(LINKS_PER_FRAME, m.n_links - m.first_link))
-    links = np.array(m.links, dtype=float)[: 6 * k].reshape(k, 6)
-    return CableShape(m.time_usec, m.cable_id, m.n_links, m.first_link, m.tension, links[:, :3], links[:, 3:])
+def _read_cable(f: Fields) -> CableShape:
+    boot_us, tension, cable, n_links, first = f[:5]
+    k = max(0, min(LINKS_PER_FRAME, n_links - first))
+    links = np.array(f[5 : 5 + 6 * k]).reshape(k, 6)
+    return CableShape(boot_us, cable, n_links, first, tension, links[:, :3], links[:, 3:])
 
 
-def _target(v: AttitudeTarget) -> Message:
-    return mavlink.MAVLink_set_attitude_target_message(
-        v.boot_ms, v.system, v.component, v.type_mask, v.quat_wxyz, *v.rates, v.thrust
-    )
+def _target(v: AttitudeTarget) -> Packed:
+    return pack(_TARGET, v.boot_ms, *v.quat_wxyz, *v.rates, v.thrust, v.system, v.component, v.type_mask)
 
 
-def _read_target(m: Message) -> AttitudeTarget:
-    w, x, y, z = m.q
-    rates = (m.body_roll_rate, m.body_pitch_rate, m.body_yaw_rate)
-    return AttitudeTarget(
-        m.time_boot_ms, m.target_system, m.target_component, m.type_mask, (w, x, y, z), rates, m.thrust
-    )
+def _read_target(f: Fields) -> AttitudeTarget:
+    return AttitudeTarget(f[0], f[9], f[10], f[11], f[1:5], f[5:8], f[8])
 
 
 def _command(v: Command) -> Message:
@@ -293,11 +280,6 @@ def _read_version(m: Message) -> ServerVersion:
 
 _PAIRS: list[tuple[type, int, Callable[[Any], Message], Callable[[Message], Any]]] = [
     (Heartbeat, mavlink.MAVLINK_MSG_ID_HEARTBEAT, _heartbeat, _read_heartbeat),
-    (VehicleAttitude, mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION, _attitude, _read_attitude),
-    (VehiclePosition, mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED, _position, _read_position),
-    (PayloadState, mavlink.MAVLINK_MSG_ID_ODOMETRY, _payload, _read_payload),
-    (CableShape, CABLE_STATE.id, _cable, _read_cable),
-    (AttitudeTarget, mavlink.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET, _target, _read_target),
     (Command, mavlink.MAVLINK_MSG_ID_COMMAND_LONG, _command, _read_command),
     (CommandAck, mavlink.MAVLINK_MSG_ID_COMMAND_ACK, _ack, _read_ack),
     (SetMode, mavlink.MAVLINK_MSG_ID_SET_MODE, _set_mode, _read_set_mode),
@@ -313,17 +295,40 @@ _PAIRS: list[tuple[type, int, Callable[[Any], Message], Callable[[Message], Any]
     (MissionCount, mavlink.MAVLINK_MSG_ID_MISSION_COUNT, _mission_count, _read_mission_count),
     (ServerVersion, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION, _version, _read_version),
 ]
+_HOT: list[tuple[type, type, Callable[[Any], Packed], Callable[[Fields], Any]]] = [
+    (VehicleAttitude, _ATTITUDE, _attitude, _read_attitude),
+    (VehiclePosition, _POSITION, _position, _read_position),
+    (PayloadState, _ODOMETRY, _payload, _read_payload),
+    (CableShape, CABLE_STATE, _cable, _read_cable),
+    (AttitudeTarget, _TARGET, _target, _read_target),
+]  # many times a tick: straight between values and bytes; the others go through pymavlink's objects
+_ENCODE_HOT = {value: write for value, _, write, _ in _HOT}
+_DECODE_HOT: dict[int, tuple[Any, Callable[[Fields], Any]]] = {kind.id: (kind, read) for _, kind, _, read in _HOT}  # type: ignore[attr-defined]
 _ENCODE = {kind: write for kind, _, write, _ in _PAIRS}
 _DECODE = {number: read for _, number, _, read in _PAIRS}
-READABLE = frozenset(_DECODE)
+READABLE = frozenset(_DECODE) | frozenset(_DECODE_HOT)
+_codec = mavlink.MAVLink(None)
 
 
-def encode(value: object) -> Message:
+def encode(value: object) -> Packed:
     """The MAVLink message of a value of `bridge.wire.values`. Raises KeyError for anything else."""
-    return _ENCODE[type(value)](value)
+    hot = _ENCODE_HOT.get(type(value))
+    return hot(value) if hot is not None else packed(_ENCODE[type(value)](value))
 
 
-def decode(message: Message) -> Any:
-    """The value of a received message, or None for a kind that nobody here reads."""
-    read = _DECODE.get(message.get_msgId())
-    return None if read is None else read(message)
+def decode(msgid: int, whole: bytes) -> Any:
+    """The value in a frame with a right checksum, or None for a kind that nobody here reads.
+
+    Raises ValueError, ArithmeticError or MAVError where the fields make no sense.
+    """
+    hot = _DECODE_HOT.get(msgid)
+    if hot is not None:
+        kind, read_fields = hot
+        return read_fields(unpack(kind, payload_of(whole)))
+    read = _DECODE.get(msgid)
+    return None if read is None else read(_codec.decode(bytearray(whole)))
+
+
+def reread(message: Packed) -> Any:
+    """What the other side makes of a message."""
+    return decode(message.msgid, frame(message, 0, 1, 1))

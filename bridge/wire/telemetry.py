@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from bridge.wire.dialect import Message, mavlink
-from bridge.wire.messages import encode
+from bridge.wire.frames import Packed, pack, packed
+from bridge.wire.messages import encode, odometry
 from bridge.wire.values import LandedState, VehicleAttitude, VehiclePosition
 from cablequad import lie
 from cablequad.types import Array
@@ -62,43 +63,40 @@ def _heading_cdeg(s: Snapshot) -> int:
     return round(math.degrees(euler(s.R)[2]) * 100) % 36000
 
 
-def _attitude(s: Snapshot) -> Message:
-    return mavlink.MAVLink_attitude_message(s.boot_ms, *euler(s.R), *s.Omega.tolist())
+def _attitude(s: Snapshot) -> Packed:
+    return pack(mavlink.MAVLink_attitude_message, s.boot_ms, *euler(s.R), *s.Omega.tolist())
 
 
-def _quaternion(s: Snapshot) -> Message:
+def _quaternion(s: Snapshot) -> Packed:
     return encode(VehicleAttitude(s.boot_ms, s.R, s.Omega))
 
 
-def _local(s: Snapshot) -> Message:
+def _local(s: Snapshot) -> Packed:
     return encode(VehiclePosition(s.boot_ms, s.x, s.v))
 
 
-def _global(s: Snapshot) -> Message:
+def _global(s: Snapshot) -> Packed:
     lat, lon, alt = _geodetic(s)
-    cm_s = np.rint(s.v * 100).astype(int).tolist()
-    return mavlink.MAVLink_global_position_int_message(
-        s.boot_ms, lat, lon, alt, round(-s.x[2] * 1e3), *cm_s, _heading_cdeg(s)
+    cm_s = [max(-32768, min(32767, round(v * 100))) for v in s.v.tolist()]
+    return pack(
+        mavlink.MAVLink_global_position_int_message,
+        *(s.boot_ms, lat, lon, alt, round(-float(s.x[2]) * 1e3), *cm_s, _heading_cdeg(s)),
     )
 
 
-def _imu(s: Snapshot) -> Message:
+def _imu(s: Snapshot) -> Packed:
     field = (s.R.T @ np.array([0.21, 0.01, 0.43])).tolist()
     altitude = s.home.altitude_m - float(s.x[2])
     hPa = 1013.25 * (1 - 2.25577e-5 * altitude) ** 5.25588
-    return mavlink.MAVLink_highres_imu_message(
-        s.boot_us, *s.specific_force.tolist(), *s.Omega.tolist(), *field, hPa, 0.0, altitude, 25.0, 0x1BFF
+    return pack(
+        mavlink.MAVLink_highres_imu_message,
+        *(s.boot_us, *s.specific_force.tolist(), *s.Omega.tolist(), *field, hPa, 0.0, altitude, 25.0, 0x1BFF, 0),
     )
 
 
-def _odometry(s: Snapshot) -> Message:
-    quat = lie.quat_from_rotation(s.R).tolist()
-    body = (s.R.T @ s.v).tolist()
-    unknown = [math.nan] + [0.0] * 20
-    return mavlink.MAVLink_odometry_message(
-        s.boot_us, mavlink.MAV_FRAME_LOCAL_NED, mavlink.MAV_FRAME_BODY_FRD, *s.x.tolist(), quat, *body,
-        *s.Omega.tolist(), unknown, unknown, 0, mavlink.MAV_ESTIMATOR_TYPE_AUTOPILOT, 100,
-    )  # fmt: skip
+def _odometry(s: Snapshot) -> Packed:
+    child, estimator = mavlink.MAV_FRAME_BODY_FRD, mavlink.MAV_ESTIMATOR_TYPE_AUTOPILOT
+    return odometry(s.boot_us, s.x, s.v, s.R, s.Omega, child, estimator)
 
 
 def _attitude_target(s: Snapshot) -> Message:
@@ -158,7 +156,7 @@ def _sys_status(s: Snapshot) -> Message:
     return mavlink.MAVLink_sys_status_message(_SENSORS, _SENSORS, _SENSORS, 150, 16200, 100, 100, 0, 0, 0, 0, 0, 0)
 
 
-def _landed(s: Snapshot) -> Message:
+def _landed(s: Snapshot) -> Packed:
     return encode(LandedState(s.landed))
 
 
@@ -184,23 +182,38 @@ def _home(s: Snapshot) -> Message:
     )  # fmt: skip
 
 
-BUILD: dict[int, Callable[[Snapshot], Message]] = {
+def _cold(build: Callable[[Snapshot], Message]) -> Callable[[Snapshot], Packed]:
+    """Messages that are rare go through pymavlink's objects."""
+    return lambda s: packed(build(s))
+
+
+BUILD: dict[int, Callable[[Snapshot], Packed]] = {
     mavlink.MAVLINK_MSG_ID_ATTITUDE: _attitude,
     mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: _quaternion,
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: _local,
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: _global,
     mavlink.MAVLINK_MSG_ID_HIGHRES_IMU: _imu,
     mavlink.MAVLINK_MSG_ID_ODOMETRY: _odometry,
-    mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET: _attitude_target,
-    mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: _servos,
-    mavlink.MAVLINK_MSG_ID_VFR_HUD: _hud,
-    mavlink.MAVLINK_MSG_ID_ALTITUDE: _altitude,
-    mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: _position_target,
-    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: _gps,
-    mavlink.MAVLINK_MSG_ID_SYS_STATUS: _sys_status,
+    mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET: _cold(_attitude_target),
+    mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: _cold(_servos),
+    mavlink.MAVLINK_MSG_ID_VFR_HUD: _cold(_hud),
+    mavlink.MAVLINK_MSG_ID_ALTITUDE: _cold(_altitude),
+    mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: _cold(_position_target),
+    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: _cold(_gps),
+    mavlink.MAVLINK_MSG_ID_SYS_STATUS: _cold(_sys_status),
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: _landed,
-    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: _system_time,
-    mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: _estimator,
-    mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: _battery,
-    mavlink.MAVLINK_MSG_ID_HOME_POSITION: _home,
+    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: _cold(_system_time),
+    mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: _cold(_estimator),
+    mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: _cold(_battery),
+    mavlink.MAVLINK_MSG_ID_HOME_POSITION: _cold(_home),
 }
+
+MOTION_ALONE = frozenset(
+    {
+        mavlink.MAVLINK_MSG_ID_ATTITUDE,
+        mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION,
+        mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
+        mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
+        mavlink.MAVLINK_MSG_ID_ODOMETRY,
+    }
+)  # what position, velocity, attitude and rates alone decide

@@ -9,9 +9,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bridge.wire.dialect import Message, mavlink
+from bridge.wire.dialect import mavlink
+from bridge.wire.frames import Packed, packed
 from bridge.wire.messages import encode, text_frames
-from bridge.wire.telemetry import BUILD, Snapshot
+from bridge.wire.telemetry import BUILD, MOTION_ALONE, Snapshot
 from bridge.wire.values import (
     IN_AIR,
     ON_GROUND,
@@ -39,9 +40,11 @@ from sitl.firmware.streams import Streams
 
 M = mavlink
 ATTITUDE_QUATERNION = M.MAVLINK_MSG_ID_ATTITUDE_QUATERNION
+HIGHRES_IMU = M.MAVLINK_MSG_ID_HIGHRES_IMU
 HEARTBEAT_US = 1_000_000
 MAGIC_FORCE = 21196.0
 PARAMS_PER_TICK = 4
+_NO_RATE = np.zeros(3)
 
 ONBOARD_HZ = {
     M.MAVLINK_MSG_ID_ATTITUDE: 100, M.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 50, M.MAVLINK_MSG_ID_HIGHRES_IMU: 50,
@@ -73,7 +76,7 @@ class Outgoing(NamedTuple):
     """A message for one of the vehicle's links; None means all of them."""
 
     link: int | None
-    message: Message
+    message: Packed
 
 
 class Px4:
@@ -97,6 +100,7 @@ class Px4:
         self._outbox: list[Outgoing] = []
         self._asked_for: list[tuple[int | None, int]] = []  # (link, message id) to build from the tick's snapshot
         self._param_queue: list[tuple[int, int]] = []
+        self._prepared: dict[int, Packed] = {}
         self._warned = ""
         self._texts_said = 0
         self._throttle = 0.0
@@ -167,7 +171,7 @@ class Px4:
         elif c.command == M.MAV_CMD_GET_MESSAGE_INTERVAL:
             ack(ACCEPTED)
             msgid = int(p[0]) if math.isfinite(p[0]) else 0
-            message = M.MAVLink_message_interval_message(msgid, self.streams[link].interval_us(msgid))
+            message = packed(M.MAVLink_message_interval_message(msgid, self.streams[link].interval_us(msgid)))
             self._outbox.append(Outgoing(link, message))
         elif c.command in (M.MAV_CMD_REQUEST_MESSAGE, M.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES):
             msgid = int(p[0]) if c.command == M.MAV_CMD_REQUEST_MESSAGE and math.isfinite(p[0]) else 148
@@ -243,6 +247,24 @@ class Px4:
             throttle=self._throttle, armed=self.armed, landed=self.landed, offboard_target=self._commanded
         )
 
+    def will_tell(self, msgid: int, now_us: int) -> bool:
+        """Whether a message of this kind goes out at this tick, as things stand."""
+        return any(streams.is_due(msgid, now_us) for streams in self.streams) or any(
+            asked == msgid for _, asked in self._asked_for
+        )
+
+    def prepare(self, s: Snapshot, audible: tuple[bool, ...]) -> None:
+        """Build ahead what the next tick will stream and no answer can change any more."""
+        for link, streams in enumerate(self.streams):
+            if audible[link]:
+                for msgid in streams.coming(s.boot_us):
+                    if msgid in MOTION_ALONE and msgid not in self._prepared:
+                        self._prepared[msgid] = BUILD[msgid](s)
+
+    def forget_prepared(self) -> None:
+        """The motion turned out otherwise."""
+        self._prepared = {}
+
     def outgoing(self, s: Snapshot, audible: tuple[bool, ...]) -> list[Outgoing]:
         """Everything to send at this tick; the attitude quaternion comes last, so that it closes the tick.
 
@@ -257,7 +279,7 @@ class Px4:
         for link, index in self._param_queue[:PARAMS_PER_TICK]:
             out.append(Outgoing(link, encode(self.parameters.report(index))))
         del self._param_queue[:PARAMS_PER_TICK]
-        built: dict[int, Message] = {}
+        built, self._prepared = self._prepared, {}
         last: list[Outgoing] = []
         for link, streams in enumerate(self.streams):
             if not audible[link]:
@@ -318,18 +340,19 @@ class Px4:
             self._warn("Offboard: throttle ignored by type mask, motors off")
         elif not math.isfinite(target.thrust):
             self._warn("Offboard: thrust is not finite, motors off")
-        rates = np.array(target.rates)
         if mask & 128:
-            drift = np.where(np.isfinite(rates), rates, s.Omega)
-            return Actuation(s.R, drift, throttle, True)
-        quat = np.array(target.quat_wxyz)
-        size = float(quat @ quat)
+            rates = np.array(target.rates)
+            return Actuation(s.R, np.where(np.isfinite(rates), rates, s.Omega), throttle, True)
+        w, x, y, z = target.quat_wxyz
+        size = w * w + x * x + y * y + z * z
         if not math.isfinite(size) or size < 1e-12:
             self._warn("Offboard: invalid quaternion, attitude uncontrolled")
             return Actuation(s.R, s.Omega.copy(), throttle, True)
-        R_c = lie.rotation_from_quat(quat)
-        yaw_rate = 0.0 if mask & 4 or not math.isfinite(rates[2]) else float(rates[2])
-        return Actuation(R_c, R_c.T @ np.array([0.0, 0.0, yaw_rate]), throttle, False)
+        R_c = lie.rotation_from_quat(np.array(target.quat_wxyz))
+        yaw_rate = target.rates[2]
+        if mask & 4 or not math.isfinite(yaw_rate):
+            return Actuation(R_c, _NO_RATE, throttle, False)
+        return Actuation(R_c, yaw_rate * R_c[2], throttle, False)
 
     def _motor_command(self, thrust: float) -> float:
         """PX4's THR_MDL_FAC inverts fac x^2 + (1 - fac) x = thrust; the allocator saturates, NaN stops the motors."""

@@ -28,9 +28,17 @@ class Streams:
         """us between messages, -1 if stopped."""
         return self._interval.get(msgid, -1)
 
+    def is_due(self, msgid: int, now_us: int) -> bool:
+        """Whether this message will be due at `now_us`."""
+        return self._next.get(msgid, now_us + 1) <= now_us
+
+    def coming(self, now_us: int) -> list[int]:
+        """Message ids that will be due at `now_us`, as things stand."""
+        return [msgid for msgid, at in self._next.items() if at <= now_us]
+
     def due(self, now_us: int) -> list[int]:
         """Message ids to send at this tick, in the order of their ids."""
-        out = [msgid for msgid, at in self._next.items() if at <= now_us]
+        out = self.coming(now_us)
         for msgid in out:
             interval = self._interval[msgid]
             ahead = self._next[msgid] + interval

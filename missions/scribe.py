@@ -1,0 +1,298 @@
+"""The recording as a process of its own: decisions and frames from the bridge, truth from the simulator.
+
+The control loop only writes what it did into a pipe. Truth comes by a pipe that joins the
+simulator and the scribe and that the bridge's process never reads. What the simulator says of a tick is written when
+that tick has been answered, and before the answer: a run's log does not depend on how the processes happened to run.
+"""
+
+import contextlib
+import fcntl
+import math
+import multiprocessing
+import os
+import pickle
+import signal
+from collections import deque
+from collections.abc import Mapping, Sequence
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bridge.link import Received, Sent
+from bridge.wire.dialect import mavlink
+from cablequad.pilot import Sample
+from logs.encode import Model, Motion
+from logs.recorder import Attachment, Frame, Recorder, RecorderError
+from missions.channel import Shapes, put_sample, sample_shapes, take, take_sample
+from sitl.plant import Truth
+from sitl.server import Event
+
+PIPE_BYTES = 1 << 20  # what may wait for the scribe before the control loop does
+TOGETHER = 8  # decisions in one write, as a wake-up of the scribe costs more than what it is told
+BATCH = 128  # entries that wait at most, where no tick is answered
+TRUTH_WAIT_S = 1.0  # the simulator says what it did right after it spoke; longer means that it has ended
+START_S = 60.0
+
+
+class Opening(NamedTuple):
+    """Everything a recording begins with."""
+
+    path: Path
+    model: Model
+    metadata: Mapping[str, Mapping[str, str]]
+    attachments: Sequence[Attachment]
+    epoch_ns: int
+    with_truth: bool
+
+
+class Closing(NamedTuple):
+    """How a recording ended."""
+
+    path: str
+    error: str | None
+
+
+class Scribe:
+    """The bridge's end of the recording."""
+
+    def __init__(self, opening: Opening) -> None:
+        context = multiprocessing.get_context("spawn")
+        down, self._down = context.Pipe(duplex=False)
+        self._up, up = context.Pipe(duplex=False)
+        truth, self.truth_end = context.Pipe(duplex=False)
+        for pipe in (self._down, self.truth_end):
+            with contextlib.suppress(OSError):
+                fcntl.fcntl(pipe.fileno(), fcntl.F_SETPIPE_SZ, PIPE_BYTES)
+        self.error: str | None = None
+        self._batch: list[tuple] = []
+        self._shapes_told = False
+        self._decisions = 0
+        self._path = opening.path
+        self._process = context.Process(
+            target=_child, args=(opening, down, up, truth), name="cablequad-scribe", daemon=True
+        )
+        self._process.start()
+        for end in (down, up, truth):
+            end.close()
+
+    def wait_ready(self) -> None:
+        """Until the log is open. Raises RecorderError if it cannot be."""
+        self.truth_end.close()
+        answer = self._answer(START_S)
+        if answer != "ready":
+            raise RecorderError(str(answer))
+
+    def received(self, boot_us: int, frames: Sequence[Received]) -> None:
+        """Frames that came in."""
+        self._put("rx", boot_us, [(f.system, f.frame) for f in frames])
+
+    def sent(self, boot_us: int, frames: Sequence[tuple[int, Sent]]) -> None:
+        """Frames that went out, each with the system it went to."""
+        self._put("tx", boot_us, [(to, frame.frame) for to, frame in frames])
+
+    def decided(self, boot_us: int, sample: Sample, tension: list[float], flying: bool) -> None:
+        """A control decision, which ends a tick."""
+        if not self._shapes_told:
+            self._shapes_told = True
+            self._put("shapes", boot_us, sample_shapes(sample))
+        self._put("decided", boot_us, put_sample(sample), tension, flying)
+        self._decisions += 1
+        if self._decisions % TOGETHER == 0:
+            self.flush()
+
+    def event(self, boot_us: int, kind: str, subject: str, text: str) -> None:
+        """Something worth a line."""
+        self._put("event", boot_us, kind, subject, text)
+
+    def perf(self, boot_us: int, turnaround_s: float, ticks: int) -> None:
+        """Wall-clock figures; here the loop also learns how the writing goes."""
+        self._put("perf", boot_us, turnaround_s, ticks)
+        self.flush()
+        if self.error is None and self._up.poll():
+            self.error = str(self._answer(0.0))
+
+    def flush(self) -> None:
+        """Hand over what waits."""
+        batch, self._batch = self._batch, []
+        if batch and self.error is None:
+            self._send(batch)
+
+    def smallest_tension_N(self, whole: bool) -> float:
+        """The smallest tension of the flight by the simulator; inf where there is none. Ends what truth is written.
+
+        Where the run is not `whole`, what the simulator said of ticks that nobody answered is written as well.
+        """
+        self._put("truth ends", 0, whole)
+        self.flush()
+        answer = self._answer(START_S) if self.error is None else math.inf
+        if isinstance(answer, float):
+            return answer
+        self.error = str(answer)
+        return math.inf
+
+    def finish(self, result: Mapping[str, str]) -> Path:
+        """Write everything out; the log's path. Where that failed, `error` says so."""
+        self._put("finish", 0, dict(result))
+        self.flush()
+        closing = self._answer(START_S)
+        self._process.join(5.0)
+        if isinstance(closing, Closing):
+            self.error = self.error or closing.error
+            return Path(closing.path)
+        self.error = self.error or str(closing)
+        return self._path.with_name(self._path.name + ".part")
+
+    def close(self) -> None:
+        """End the process; without `finish` before, the log ends without a result."""
+        with contextlib.suppress(OSError):
+            self._down.close()
+        self._process.join(5.0)
+        if self._process.is_alive():
+            self._process.kill()
+
+    def _put(self, *entry: Any) -> None:
+        self._batch.append(entry)
+        if len(self._batch) >= BATCH:
+            self.flush()
+
+    def _send(self, batch: list[tuple]) -> None:
+        try:
+            self._down.send_bytes(pickle.dumps(batch, 5))
+        except OSError:
+            self.error = self.error or "the recording ended by itself"
+
+    def _answer(self, timeout_s: float) -> Any:
+        try:
+            if self._up.poll(timeout_s):
+                return self._up.recv()
+        except (EOFError, OSError):
+            pass
+        return "the recording ended by itself"
+
+
+class _Ledger:
+    """The scribe's side: puts what it is told into the recorder, truth in its place."""
+
+    def __init__(self, recorder: Recorder, model: Model, truth: Connection) -> None:
+        self._recorder = recorder
+        self._used = np.arange(model.system.length.shape[1])[None, :] < model.system.n_links[:, None]
+        self._shape = model.system.length.shape
+        self._truth: Connection | None = truth
+        self._told: deque[Truth | Event] = deque()
+        self._answered_us = 0
+        self._ended = False
+        self._slack: set[int] = set()
+        self._names = {number: kind.msgname for number, kind in mavlink.mavlink_map.items()}
+        self._shapes: Shapes = ()
+        self.smallest_N = math.inf
+
+    def take(self, entry: tuple) -> None:
+        """Write one entry of the bridge."""
+        kind, boot_us, *rest = entry
+        match kind:
+            case "rx":
+                self._recorder.frames(boot_us, "rx", [self._frame(system, whole) for system, whole in rest[0]])
+            case "tx":
+                self._recorder.frames(boot_us, "tx", [self._frame(system, whole) for system, whole in rest[0]])
+            case "decided":
+                self._read_truth(boot_us)
+                self._tell_truth(boot_us)
+                self._recorder.decided(boot_us, take_sample(rest[0], self._shapes), *rest[1:])
+            case "shapes":
+                self._shapes = rest[0]
+            case "event":
+                self._recorder.event(boot_us, *rest)
+                self._ended = self._ended or rest[0] == "end"
+            case "perf":
+                self._recorder.perf(boot_us, *rest)
+
+    def end_truth(self, whole: bool) -> None:
+        """Read to the end of what the simulator said."""
+        self._read_truth(2**62)
+        self._tell_truth(self._answered_us if whole else 2**62)
+
+    def _frame(self, other: int, whole: bytes) -> Frame:
+        if whole[0] == 0xFD:
+            msgid = whole[7] | whole[8] << 8 | whole[9] << 16
+            return Frame(other, whole, msgid, whole[5], whole[6], whole[4], self._names[msgid])
+        return Frame(other, whole, whole[5], whole[3], whole[4], whole[2], self._names[whole[5]])
+
+    def _read_truth(self, until_us: int) -> None:
+        """Take what the simulator says until it has spoken of `until_us`, or has no more to say."""
+        while self._truth is not None and (not self._told or self._told[-1].boot_us < until_us):
+            try:
+                if not self._truth.poll(TRUTH_WAIT_S if until_us < 2**62 else 0.1):
+                    return
+                self._told += take(self._truth.recv_bytes(), *self._shape)
+            except (EOFError, OSError):
+                self._truth = None
+                return
+
+    def _tell_truth(self, answered_us: int) -> None:
+        self._answered_us = answered_us
+        while self._told and self._told[0].boot_us <= answered_us:
+            message = self._told.popleft()
+            if isinstance(message, Truth):
+                self._write_truth(message)
+            else:
+                self._recorder.plant_event(message.boot_us, f"sitl-{message.kind}", message.subject, message.text)
+
+    def _write_truth(self, truth: Truth) -> None:
+        motion = Motion(truth.state, truth.x, truth.v, truth.tension, truth.thrust)
+        self._recorder.truth(truth.boot_us, truth.held, motion)
+        if not truth.held and not self._ended:
+            tension = np.where(self._used, truth.tension, np.inf)
+            self.smallest_N = min(self.smallest_N, float(tension.min()))
+            self._tell_slack(truth.boot_us, tension)
+
+    def _tell_slack(self, boot_us: int, tension: np.ndarray) -> None:
+        """An event when a link of a cable begins to push, that is, the cable is slack, and when it pulls again."""
+        for i, link in enumerate(tension.argmin(axis=1).tolist()):
+            pushes = bool(tension[i, link] < 0)
+            if pushes and i not in self._slack:
+                self._slack.add(i)
+                text = f"link {link + 1} pushes with {-tension[i, link]:.2f} N: the cable is slack"
+                self._recorder.plant_event(boot_us, "slack", f"cable {i + 1}", text)
+            elif not pushes and i in self._slack:
+                self._slack.discard(i)
+                self._recorder.plant_event(boot_us, "taut", f"cable {i + 1}", "every link pulls again")
+
+
+def _child(opening: Opening, down: Connection, up: Connection, truth: Connection) -> None:
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)  # the bridge's end of the pipe decides
+    with contextlib.suppress(OSError):
+        os.nice(1)  # the flight goes first
+    try:
+        recorder = Recorder(
+            opening.path, opening.model, opening.metadata, opening.attachments, opening.epoch_ns, opening.with_truth
+        )
+    except RecorderError as error:
+        up.send(str(error))
+        return
+    up.send("ready")
+    ledger = _Ledger(recorder, opening.model, truth)
+    told_error = False
+    while True:
+        try:
+            batch = pickle.loads(down.recv_bytes())
+        except (EOFError, OSError):
+            ledger.end_truth(False)
+            recorder.finish()
+            return
+        for entry in batch:
+            if entry[0] == "truth ends":
+                ledger.end_truth(entry[2])
+                up.send(ledger.smallest_N)
+            elif entry[0] == "finish":
+                recorder.metadata("result", entry[2])
+                path = recorder.finish()
+                up.send(Closing(str(path), recorder.error))
+                return
+            else:
+                ledger.take(entry)
+        if recorder.error is not None and not told_error:
+            told_error = True
+            up.send(recorder.error)
