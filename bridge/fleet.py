@@ -1,15 +1,15 @@
-"""n autopilots, from the first heartbeat to OFFBOARD and armed, and to hold at the end. No socket and no clock in here.
+"""n autopilots, from the first heartbeat to armed in OFFBOARD (PX4) or GUIDED (ArduCopter), and to hold at the end.
 
-Each vehicle walks the same stages; a stage sends its request every `RETRY_S` until what it waits for is seen, and gives
-up after `GIVE_UP_S` with one line that names the vehicle and why. Mode and arming are judged by HEARTBEAT alone. Times
-are seconds of the vehicles' clock.
+No socket and no clock in here. Each vehicle walks the same stages; a stage sends its request every `RETRY_S` until what
+it waits for is seen, and gives up after `GIVE_UP_S` with one line that names the vehicle and why. Mode and arming are
+judged by HEARTBEAT alone. Times are seconds of the vehicles' clock.
 """
 
 from collections.abc import Callable
 from enum import IntEnum
 from typing import Any, NamedTuple
 
-from bridge.thrust import ThrustLaw
+from bridge.thrust import LinearShare, MotorCommand, ThrustLaw
 from bridge.wire.dialect import mavlink
 from bridge.wire.messages import TEXT_BYTES, attitude_target
 from bridge.wire.values import (
@@ -19,8 +19,11 @@ from bridge.wire.values import (
     Heartbeat,
     LandedState,
     ParamRequestRead,
+    ParamSet,
     ParamValue,
     StatusText,
+    Timesync,
+    VehicleAttitude,
 )
 from cablequad import lie
 from cablequad.pilot import Sample
@@ -29,13 +32,42 @@ SYSTEM, COMPONENT = 250, 191
 TRACKER = 200
 RETRY_S = 0.5
 GIVE_UP_S = 8.0
-STREAM_FIRST_S = 1.0  # setpoints flow this long before OFFBOARD is asked for
+STREAM_FIRST_S = 1.0  # setpoints flow this long before the mode is asked for
 HEARTBEAT_S = 1.0
 SILENT_S = 3.0
 POSITION_GAP_M = 0.5  # a vehicle further than this from where its cable puts it is not flown
 
-OFFBOARD = 6 << 16
-HOLD = 4 << 16 | 3 << 24
+REBOOT_MS = 1000  # a vehicle's clock that goes back by more has begun anew
+THRUST_NOT_CLIMB = 8  # in ArduCopter's GUID_OPTIONS
+
+
+class Profile(NamedTuple):
+    """What differs between autopilots."""
+
+    name: str
+    control: tuple[str, int, tuple[float, ...]]  # the mode that obeys setpoints: name, custom_mode, DO_SET_MODE
+    hold: tuple[str, int, tuple[float, ...]]
+    parameters: tuple[str, ...]  # that decide what a setpoint means
+    arming_s: float  # that its estimator may need after boot, and some
+
+
+PROFILES = {
+    mavlink.MAV_AUTOPILOT_PX4: Profile(
+        "PX4",
+        ("OFFBOARD", 6 << 16, (1.0, 6.0)),
+        ("HOLD", 4 << 16 | 3 << 24, (1.0, 4.0, 3.0)),
+        ("THR_MDL_FAC",),
+        10.0,
+    ),
+    mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: Profile(
+        "ArduCopter",
+        ("GUIDED", 4, (1.0, 4.0)),
+        ("BRAKE", 17, (1.0, 17.0)),
+        ("GUID_OPTIONS", "ATC_ANGLE_BOOST"),
+        60.0,
+    ),
+}
+
 CONTROL_RATE = 0  # us: stands for the control period
 STOP = -1
 STREAMS_US = {
@@ -56,7 +88,6 @@ STREAMS_US = {
 NEEDED_STREAMS = frozenset(
     {mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION, mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED}
 )  # a vehicle that refuses one of these is not flown; of the others it may have its own mind
-WANTED_PARAMETER = "THR_MDL_FAC"
 _RESULTS = {1: "temporarily rejected", 2: "denied", 3: "unsupported", 4: "failed"}
 
 
@@ -67,23 +98,15 @@ class Stage(IntEnum):
     STREAMS = 1
     PARAMETERS = 2
     SETPOINTS = 3
-    OFFBOARD = 4
+    CONTROL = 4
     ARM = 5
     FLY = 6
     HOLD = 7
     DONE = 8
 
 
-WAITS_FOR = {
-    Stage.HEARTBEAT: "a heartbeat",
-    Stage.STREAMS: "its streams (SET_MESSAGE_INTERVAL)",
-    Stage.PARAMETERS: f"parameter {WANTED_PARAMETER}",
-    Stage.SETPOINTS: "a complete state of vehicles, load and cables",
-    Stage.OFFBOARD: "mode OFFBOARD",
-    Stage.ARM: "arming",
-    Stage.HOLD: "mode HOLD",
-}
-TOGETHER = frozenset({Stage.OFFBOARD, Stage.ARM})  # entered only when every vehicle has finished the stage before
+TOGETHER = frozenset({Stage.CONTROL, Stage.ARM})  # entered only when every vehicle has finished the stage before
+RETRIES_S = {Stage.ARM: 2.0}  # a refused arming is told in a STATUSTEXT each time
 
 
 class Request(NamedTuple):
@@ -105,18 +128,47 @@ class _Vehicle:
         self.streams_left = sorted(STREAMS_US, key=lambda msgid: (msgid not in NEEDED_STREAMS, msgid))
         self.refusal = ""
         self.text = ""  # of a STATUSTEXT that comes in chunks
-        self.model_factor: float | None = None
+        self.profile: Profile | None = None
+        self.parameters: dict[str, float] = {}
+        self.clock_ms = -1
+
+    def missing_parameter(self) -> str | None:
+        """The next parameter that is not known yet."""
+        wanted = self.profile.parameters if self.profile is not None else ()
+        return next((name for name in wanted if name not in self.parameters), None)
+
+    def waits_for(self) -> str:
+        """What the stage waits for, in words; nothing where it waits for nobody."""
+        profile = self.profile
+        if profile is None:
+            return ""
+        return {
+            Stage.STREAMS: "its streams (SET_MESSAGE_INTERVAL)",
+            Stage.PARAMETERS: f"parameter {self.missing_parameter() or profile.parameters[0]}",
+            Stage.SETPOINTS: "a complete state of vehicles, load and cables",
+            Stage.CONTROL: f"mode {profile.control[0]}",
+            Stage.ARM: "arming",
+            Stage.HOLD: f"mode {profile.hold[0]}",
+        }.get(self.stage, "")
+
+    def gives_up_s(self) -> float:
+        """How long the stage waits."""
+        return self.profile.arming_s if self.profile is not None and self.stage is Stage.ARM else GIVE_UP_S
 
 
 class Fleet:
     """The protocol side of n vehicles: `feed` what they say, send what is `due`."""
 
-    def __init__(self, max_thrust_N: list[float], period_s: float) -> None:
+    def __init__(self, max_thrust_N: list[float], period_s: float, configure: bool = False) -> None:
+        """`configure`: parameters that a vehicle needs to be flown are set, not only asked for."""
         self.n = len(max_thrust_N)
         self.failure: str | None = None
         self.released_at: float | None = None
         self._vehicles = [_Vehicle(i + 1) for i in range(self.n)]
-        self._laws = [ThrustLaw(limit) for limit in max_thrust_N]
+        self._max_thrust_N = max_thrust_N
+        self._laws: list[ThrustLaw] = [MotorCommand(limit) for limit in max_thrust_N]
+        self._configure = configure
+        self._answers: list[Request] = []
         self._interval_us = round(period_s * 1e6)
         self._setpoints_since: float | None = None
         self._next_heartbeat = 0.0
@@ -156,9 +208,12 @@ class Fleet:
                 self._heartbeat(v, value, now)
             case CommandAck():
                 self._ack(v, value)
-            case ParamValue() if value.name == WANTED_PARAMETER:
-                v.model_factor = value.value
-                self._laws[source - 1] = self._laws[source - 1]._replace(model_factor=value.value)
+            case ParamValue() if v.profile is not None and value.name in v.profile.parameters:
+                self._parameter(v, value)
+            case VehicleAttitude():
+                self._clock(v, value.boot_ms)
+            case Timesync() if value.tc1 == 0:
+                self._answers.append(Request(source, Timesync(round(now * 1e9), value.ts1)))
             case LandedState():
                 v.landed = value.landed
                 if self.released_at is None and all(u.landed == IN_AIR for u in self._vehicles):
@@ -187,7 +242,7 @@ class Fleet:
 
     def due(self, now: float) -> list[Request]:
         """What to send now; also moves stages on and notices who is silent or stuck."""
-        out: list[Request] = []
+        out, self._answers = self._answers, []
         if now >= self._next_heartbeat:
             self._next_heartbeat = now + HEARTBEAT_S
             beat = Heartbeat(
@@ -198,7 +253,7 @@ class Fleet:
             self._advance(v, now)
         for v in self._vehicles:
             if v.stage in _ASK and now >= v.next_try:
-                v.next_try = now + RETRY_S
+                v.next_try = now + RETRIES_S.get(v.stage, RETRY_S)
                 out += [Request(v.system, value) for value in _ASK[v.stage](v, self._interval_us)]
             self._watch(v, now)
         return out
@@ -206,9 +261,9 @@ class Fleet:
     def setpoints(self, sample: Sample, boot_ms: int) -> list[Request]:
         """The attitude-and-thrust setpoints of a decision, one a vehicle. Raises WireError where one is not finite."""
         quats = lie.quats_from_rotations(sample.R_c).tolist()
-        thrusts = sample.f.tolist()
+        thrusts, upright = sample.f.tolist(), sample.R_c[:, 2, 2].tolist()
         return [
-            Request(i + 1, attitude_target(boot_ms, i + 1, quats[i], law.field(thrusts[i])))
+            Request(i + 1, attitude_target(boot_ms, i + 1, quats[i], law.field(thrusts[i], upright[i])))
             for i, law in enumerate(self._laws)
         ]
 
@@ -230,14 +285,45 @@ class Fleet:
 
     def _heartbeat(self, v: _Vehicle, beat: Heartbeat, now: float) -> None:
         v.heartbeat = beat
-        if beat.autopilot != mavlink.MAV_AUTOPILOT_PX4:
-            self._fail(f"vehicle {v.system} is autopilot type {beat.autopilot}; only PX4 (12) can be flown")
+        if v.profile is None:
+            v.profile = PROFILES.get(beat.autopilot)
+            if v.profile is None:
+                known = " and ".join(f"{p.name} ({number})" for number, p in PROFILES.items())
+                self._fail(f"vehicle {v.system} is autopilot type {beat.autopilot}; {known} can be flown")
+                return
         if v.stage is Stage.HEARTBEAT:
             self._enter(v, Stage.STREAMS, now)
         elif v.stage is Stage.FLY and not beat.armed:
             self._fail(f"vehicle {v.system} disarmed in flight{_because(v)}")
-        elif v.stage is Stage.FLY and beat.custom_mode != OFFBOARD:
-            self._fail(f"vehicle {v.system} left OFFBOARD{_because(v)}")
+        elif v.stage is Stage.FLY and beat.custom_mode != v.profile.control[1]:
+            self._fail(f"vehicle {v.system} left {v.profile.control[0]}{_because(v)}")
+
+    def _parameter(self, v: _Vehicle, value: ParamValue) -> None:
+        number = value.value
+        if value.name == "GUID_OPTIONS" and not int(number) & THRUST_NOT_CLIMB:
+            if not self._configure:
+                self._fail(
+                    f"vehicle {v.system}: GUID_OPTIONS is {number:g}, so thrust would mean climb rate; "
+                    f"set it to {int(number) | THRUST_NOT_CLIMB}, or fly with --configure"
+                )
+                return
+            wish = float(int(number) | THRUST_NOT_CLIMB)
+            self._answers.append(Request(v.system, ParamSet(v.system, 1, value.name, wish, value.type)))
+            return  # the vehicle's answer to this one says whether it took it
+        v.parameters[value.name] = number
+        limit = self._max_thrust_N[v.system - 1]
+        if v.profile is not None and v.profile.name == "PX4":
+            self._laws[v.system - 1] = MotorCommand(limit, v.parameters.get("THR_MDL_FAC", 0.0))
+        else:
+            self._laws[v.system - 1] = LinearShare(limit, v.parameters.get("ATC_ANGLE_BOOST", 1.0) != 0.0)
+
+    def _clock(self, v: _Vehicle, boot_ms: int) -> None:
+        if boot_ms < v.clock_ms - REBOOT_MS and v.stage < Stage.HOLD:
+            self._fail(
+                f"vehicle {v.system} rebooted: its clock went back from {v.clock_ms / 1000:.2f} s "
+                f"to {boot_ms / 1000:.2f} s"
+            )
+        v.clock_ms = max(v.clock_ms, boot_ms)
 
     def _ack(self, v: _Vehicle, ack: CommandAck) -> None:
         if ack.system not in (0, SYSTEM):
@@ -259,15 +345,16 @@ class Fleet:
             case Stage.STREAMS:
                 return not v.streams_left
             case Stage.PARAMETERS:
-                return v.model_factor is not None
+                return v.missing_parameter() is None
             case Stage.SETPOINTS:
                 return self._setpoints_since is not None and now - self._setpoints_since >= STREAM_FIRST_S
-            case Stage.OFFBOARD:
-                return beat is not None and beat.custom_mode == OFFBOARD
+            case Stage.CONTROL:
+                return beat is not None and v.profile is not None and beat.custom_mode == v.profile.control[1]
             case Stage.ARM:
                 return v.landed == IN_AIR or (beat is not None and beat.armed)  # who flies is armed
             case Stage.HOLD:
-                return beat is not None and (beat.custom_mode == HOLD or not beat.armed)
+                holding = v.profile is not None and beat is not None and beat.custom_mode == v.profile.hold[1]
+                return holding or (beat is not None and not beat.armed)
             case _:
                 return False
 
@@ -282,8 +369,9 @@ class Fleet:
         self._enter(v, following, now)
 
     def _watch(self, v: _Vehicle, now: float) -> None:
-        if v.stage in WAITS_FOR and v.stage is not Stage.HEARTBEAT and now - v.since > GIVE_UP_S:
-            self._fail(f"vehicle {v.system}: waited {GIVE_UP_S:.0f} s for {WAITS_FOR[v.stage]}{_because(v)}")
+        wait = v.waits_for()
+        if wait and now - v.since > v.gives_up_s():
+            self._fail(f"vehicle {v.system}: waited {v.gives_up_s():.0f} s for {wait}{_because(v)}")
             if v.stage is Stage.HOLD:
                 v.stage = Stage.DONE
         if v.stage > Stage.HEARTBEAT and v.stage is not Stage.DONE and now - v.heard_at > SILENT_S:
@@ -307,10 +395,19 @@ def _ask_streams(v: _Vehicle, interval_us: int) -> list[Any]:
     return [_command(v, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, msgid, asked_us)]
 
 
+def _ask_parameter(v: _Vehicle, _: int) -> list[Any]:
+    name = v.missing_parameter()
+    return [] if name is None else [ParamRequestRead(v.system, 1, name)]
+
+
+def _ask_mode(v: _Vehicle, mode: tuple[str, int, tuple[float, ...]]) -> list[Any]:
+    return [_command(v, mavlink.MAV_CMD_DO_SET_MODE, *mode[2])]
+
+
 _ASK: dict[Stage, Callable[[_Vehicle, int], list[Any]]] = {
     Stage.STREAMS: _ask_streams,
-    Stage.PARAMETERS: lambda v, _: [ParamRequestRead(v.system, 1, WANTED_PARAMETER)],
-    Stage.OFFBOARD: lambda v, _: [_command(v, mavlink.MAV_CMD_DO_SET_MODE, 1, 6)],
+    Stage.PARAMETERS: _ask_parameter,
+    Stage.CONTROL: lambda v, _: [] if v.profile is None else _ask_mode(v, v.profile.control),
     Stage.ARM: lambda v, _: [_command(v, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)],
-    Stage.HOLD: lambda v, _: [_command(v, mavlink.MAV_CMD_DO_SET_MODE, 1, 4, 3)],
+    Stage.HOLD: lambda v, _: [] if v.profile is None else _ask_mode(v, v.profile.hold),
 }

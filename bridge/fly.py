@@ -1,12 +1,15 @@
 """The loop: one decision per measured state, on the vehicles' clock, until the plan is over or something ends it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import NamedTuple, Protocol
 
+from bridge.faults import Channel
 from bridge.fleet import COMPONENT, SYSTEM, TRACKER, Fleet, Request
 from bridge.link import Address, Link, Received, Sent
-from bridge.observe import Instant, Observer
+from bridge.observe import Gate, Instant, Loop, Observer
+from bridge.thrust import ThrustScale, made_thrust_N
 from bridge.wire.messages import WireError, encode
+from bridge.wire.values import Imu, PayloadState, Timesync
 from cablequad.design import Design
 from cablequad.pilot import Measurement, Memory, Reference, Sample, first_memory, tick
 
@@ -38,6 +41,11 @@ class Timing(NamedTuple):
     intervals_s: list[float]  # between the states that were answered, in flight
     turnaround_s: list[float]  # from a state's last frame to its last setpoint, in flight
     flight_s: float  # wall clock from the first state answered in flight to the last
+    thrust_scales: list[ThrustScale]  # of each vehicle: newtons made per newton asked
+    predicted_ticks: int  # answered with a state that was not all measured
+
+
+Channels = Mapping[int, Channel[Received]]  # by the system whose frames pass through
 
 
 class Record(Protocol):
@@ -49,8 +57,8 @@ class Record(Protocol):
     def sent(self, boot_us: int, frames: list[tuple[int, Sent]]) -> None:
         """Frames that went out, each with the system it went to."""
 
-    def decided(self, boot_us: int, sample: Sample, tension: list[float], flying: bool) -> None:
-        """A control decision."""
+    def decided(self, boot_us: int, sample: Sample, tension: list[float], flying: bool, age_s: float) -> None:
+        """A control decision, and the age of the oldest measurement that its state rests on."""
 
     def event(self, boot_us: int, kind: str, subject: str, text: str) -> None:
         """Something worth a line."""
@@ -62,10 +70,14 @@ class Record(Protocol):
 class _Flight:
     """The state of one call of `fly`."""
 
-    def __init__(self, link: Link, fleet: Fleet, plan: Plan, design: Design, period: float, record: Record) -> None:
+    def __init__(
+        self, link: Link, fleet: Fleet, plan: Plan, design: Design, loop: Loop, record: Record, channels: Channels
+    ) -> None:
         self.link, self.fleet, self.plan, self.design, self.record = link, fleet, plan, design, record
-        self.period_ms = round(period * 1000)
-        self.observer = Observer(design.system)
+        self.loop = loop
+        self.gate = Gate([*range(1, fleet.n + 1), TRACKER], loop.period_ms)
+        self.observer = Observer(loop)
+        self.channels = channels
         self.memory: Memory = first_memory(design)
         self.routes: dict[int, tuple[int, Address]] = {}
         self.pending: list[Received] = []
@@ -73,9 +85,10 @@ class _Flight:
         self.heard_at = self.pending_since = link.now()
         self.last: tuple[int, float] | None = None
         self.started: float | None = None
-        self.ticks = self.missed = 0
+        self.ticks = self.missed = self.predicted = 0
         self.intervals: list[float] = []
         self.turnaround: list[float] = []
+        self.scales = [ThrustScale()] * fleet.n
         self.released = False
 
     @property
@@ -85,7 +98,7 @@ class _Flight:
         return -1.0 if released is None else self.now_us * 1e-6 - released
 
     def step(self) -> Sample | None:
-        """Take what has come in; answer the newest complete state if there is one."""
+        """Take what has come in; answer the tick that it completes, if it does."""
         tracker = self.routes.get(TRACKER)
         frames = self.link.poll(0.1, tracker[0] if tracker is not None and not self.pending else None)
         arrived = self.link.now()
@@ -93,21 +106,34 @@ class _Flight:
             self.heard_at = arrived
             if not self.pending:
                 self.pending_since = arrived
+        tracked: int | None = None
         for frame in frames:
             self._route(frame)
-            self.pending.append(frame)
             if frame.component == (1 if frame.system != TRACKER else COMPONENT):
-                self.observer.feed(frame.system, frame.value)
-        instant = self.observer.take()
-        if instant is not None:
-            self.now_us = instant.boot_ms * 1000
-        elif not self.pending or arrived - self.pending_since < PROCESS_ANYWAY_S:
+                self.gate.feed(frame.system, frame.value)
+            if isinstance(frame.value, PayloadState) and frame.system == TRACKER:
+                tracked = frame.value.boot_us
+        self.pending += frames
+        boot_ms = self.gate.open()
+        sample = None
+        while boot_ms is not None:  # more than one where a tick was left open until the next began
+            self.now_us = boot_ms * 1000
+            self._process()
+            instant = self.observer.estimate(boot_ms)
+            if instant is not None:
+                sample = self._answer(instant, arrived)
+                tracked = None
+            boot_ms = self.gate.open()
+        if tracked is None and (sample is not None or arrived - self.pending_since < PROCESS_ANYWAY_S):
+            return sample
+        if not self.pending and tracked is None:
             return None
+        self.now_us = max(self.now_us, tracked or 0)
         self._process()
-        if instant is None:
-            self._send(self.fleet.due(self.now_us * 1e-6))
-            return None
-        return self._answer(instant, arrived)
+        self._send(self.fleet.due(self.now_us * 1e-6))
+        if tracked is not None:  # a simulator that waits for us may go on: nothing more will be said to this tick
+            self._send([Request(TRACKER, Timesync(tracked * 1000, tracked * 1000))])
+        return None
 
     def _route(self, frame: Received) -> None:
         known = self.routes.setdefault(frame.system, (frame.port, frame.address))
@@ -119,20 +145,50 @@ class _Flight:
             )
 
     def _process(self) -> None:
-        """Feed the fleet in an order that does not depend on which socket was read first."""
-        self.pending.sort(key=lambda frame: frame.system)
-        now = self.now_us * 1e-6
-        for frame in self.pending:
-            if frame.value is not None:
-                self.fleet.feed(frame.system, frame.component, frame.value, now)
-        if self.pending:
-            self.record.received(self.now_us, self.pending)
+        """Let the links' faults act, then feed everyone in an order that does not depend on which socket came first."""
+        frames = sorted(self.pending, key=lambda frame: frame.system)
         self.pending = []
+        if self.channels:
+            for frame in frames:
+                channel = self.channels.get(frame.system)
+                if channel is not None:
+                    channel.put(frame, len(frame.frame), self.now_us)
+            kept = [frame for frame in frames if frame.system not in self.channels]
+            frames = kept + [f for _, channel in sorted(self.channels.items()) for f in channel.take(self.now_us)]
+        now = self.now_us * 1e-6
+        for frame in frames:
+            if frame.value is None:
+                continue
+            self.fleet.feed(frame.system, frame.component, frame.value, now)
+            if frame.component == (1 if frame.system != TRACKER else COMPONENT):
+                self.observer.feed(frame.system, frame.value)
+                if isinstance(frame.value, Imu) and self.fleet.flying and frame.system <= self.fleet.n:
+                    self._compare_thrust(frame.system - 1, frame.value)
+        if frames:
+            self.record.received(self.now_us, frames)
         if self.fleet.released_at is not None and not self.released:
             self.released = True
+            self.observer.released()
+            for channel in self.channels.values():
+                channel.released_us = self.now_us
             self.record.event(self.now_us, "release", "all", "every vehicle carries itself: t = 0")
         for source, said in self.fleet.texts():
             self.record.event(self.now_us, "statustext", f"vehicle {source}", said.text)
+
+    def _compare_thrust(self, i: int, imu: Imu) -> None:
+        """What vehicle i's rotors give against what was asked: the accelerometer, less the pull of its cable."""
+        told = self.observer.known(imu.boot_us // 1000)
+        acting = self.observer.acting(imu.boot_us // 1000)
+        if told is None or acting is None:
+            return
+        state, tension = told
+        system = self.loop.system
+        k = int(system.n_links[i])
+        down = float((1.0 / system.inv_node[i, 1:k]).sum()) * system.g  # what hangs above the last link's mass
+        R3 = state.R[i, :, 2]
+        pull = float(tension[i]) * float(state.q[i, k - 1] @ R3) + down * float(R3[2])
+        made = made_thrust_N(float(system.m[i]), float(imu.specific_force[2]), pull)
+        self.scales[i] = self.scales[i].seen(float(acting[1][i]), made)
 
     def _answer(self, instant: Instant, arrived: float) -> Sample:
         now = instant.boot_ms * 1e-3
@@ -143,10 +199,12 @@ class _Flight:
         except WireError as error:  # nothing that is not finite goes out; the vehicles' own failsafes take over
             setpoints = []
             self.fleet.failure = self.fleet.failure or str(error)
+        self.observer.commanded(instant.boot_ms, sample.R_c, sample.f)
         self.fleet.observed(now, instant.position_gap.tolist())
         self._send(self.fleet.due(now) + setpoints)
         done = self.link.now()
-        self.record.decided(self.now_us, sample, instant.tension.tolist(), self.fleet.flying)
+        self.record.decided(self.now_us, sample, instant.tension.tolist(), self.fleet.flying, instant.age_ms * 1e-3)
+        self.predicted += instant.age_ms > 0 and self.fleet.flying
         self._time(instant.boot_ms, arrived, done)
         return sample
 
@@ -167,17 +225,17 @@ class _Flight:
         if self.fleet.flying and self.started is None:
             self.started = arrived
         elif self.fleet.flying and self.last is not None:
-            self.missed += max(0, (boot_ms - self.last[0]) // self.period_ms - 1)
+            self.missed += max(0, (boot_ms - self.last[0]) // self.loop.period_ms - 1)
             self.intervals.append(arrived - self.last[1])
             self.turnaround.append(done - arrived)
         self.last = (boot_ms, arrived)
-        if self.ticks % max(1, 1000 // self.period_ms) == 0:
+        if self.ticks % max(1, 1000 // self.loop.period_ms) == 0:
             self.record.perf(self.now_us, done - arrived, self.ticks)
 
     def timing(self) -> Timing:
         """What the loop measured of itself."""
         flight = 0.0 if self.started is None or self.last is None else self.last[1] - self.started
-        return Timing(self.ticks, self.missed, self.intervals, self.turnaround, flight)
+        return Timing(self.ticks, self.missed, self.intervals, self.turnaround, flight, self.scales, self.predicted)
 
 
 def fly(
@@ -185,17 +243,18 @@ def fly(
     fleet: Fleet,
     plan: Plan,
     design: Design,
-    period: float,
+    loop: Loop,
     record: Record,
     connect_timeout_s: float,
     watch: Callable[[str, Sample | None], str | None],
+    channels: Channels,
 ) -> tuple[Outcome, Timing]:
     """Bring the fleet up, fly the plan, leave every vehicle holding. Never raises for what vehicles or users do.
 
     `watch` is called after every decision with the phase and the sample (None while nothing is heard); what it returns
-    ends the run with that reason.
+    ends the run with that reason. `channels` fail the frames of the systems they are for.
     """
-    flight = _Flight(link, fleet, plan, design, period, record)
+    flight = _Flight(link, fleet, plan, design, loop, record, channels)
     begun = link.now()
     interrupted, completed, reason = False, False, ""
     try:

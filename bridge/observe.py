@@ -1,8 +1,12 @@
-"""Messages -> State at one instant: what belongs to the same time stamp is put together, the rest is left out.
+"""Messages -> State at one instant: what belongs to one time stamp is put together, what is missing is predicted.
 
 Link directions, rates and the payload come from the tracker (ODOMETRY, CABLE_STATE), attitudes and rates from the
 vehicles (ATTITUDE_QUATERNION). A vehicle's own LOCAL_POSITION_NED is redundant with those and is kept as a check: it
 says whether the vehicle hangs where its cable says it does.
+
+Each instant's estimate is the one before, carried on by the model under the setpoints that were under way, with
+everything that was measured of it put in its place. What comes late is put where it belongs, and the model leads from
+there to now. Where everything is in time the estimate is what was measured, and no model is asked.
 """
 
 import math
@@ -12,114 +16,249 @@ import numpy as np
 
 from bridge.wire.values import CableShape, PayloadState, VehicleAttitude, VehiclePosition
 from cablequad import lie
+from cablequad.attitude import Airframe, Setpoint, flown
 from cablequad.state import State, positions
 from cablequad.system import System
 from cablequad.types import Array
 
-KEPT = 16  # instants that may be under way at once; older incomplete ones are given up
+KEPT = 64  # instants that late measurements may still belong to
+AWAITED = 5  # periods that a silent source is waited for
+REBOOT_MS = 1000  # a clock that goes back by more has begun anew
+
+
+class Loop(NamedTuple):
+    """What the observer knows of the loop it stands in; times are milliseconds of the vehicles' clock."""
+
+    system: System
+    airframe: Airframe
+    period_ms: int
+    delay_ms: int  # from the state that a setpoint answers to when it acts
+    step_s: float  # of the model
 
 
 class Instant(NamedTuple):
-    """Everything said of one time stamp."""
+    """What is known of one time stamp."""
 
     boot_ms: int
     state: State
     tension: Array  # (n,) N, of the links at the payload
     position_gap: Array  # (n,) m between a vehicle's own position and where its cable puts it; NaN where not said
+    age_ms: int  # of the newest measurement that the oldest part rests on; 0 where all is measured
 
 
 class _Parts:
     """What has come in of one time stamp."""
 
-    def __init__(self, n: int, L: int) -> None:
+    def __init__(self, n: int, L: int, links: int) -> None:
         self.attitudes: dict[int, VehicleAttitude] = {}
         self.positions: dict[int, VehiclePosition] = {}
         self.payload: PayloadState | None = None
-        self.q = np.tile(np.array([0.0, 0.0, 1.0]), (n, L, 1))
+        self.q = np.empty((n, L, 3))
+        self.q[...] = (0.0, 0.0, 1.0)
         self.omega = np.zeros((n, L, 3))
         self.tension = np.zeros(n)
-        self.links_missing = 0
+        self.cable_links = [0] * n
+        self.links_missing = links
+
+
+class Gate:
+    """Says when a tick has come: every source that lives has spoken of it, or has let a later one begin."""
+
+    def __init__(self, sources: list[int], period_ms: int) -> None:
+        self._newest = dict.fromkeys(sources, -1)
+        self._period_ms = period_ms
+        self._told_ms = -1
+
+    def feed(self, source: int, value: object) -> None:
+        """Take a value that closes what `source` says of a tick."""
+        if isinstance(value, VehicleAttitude):
+            stamp = value.boot_ms
+        elif isinstance(value, PayloadState):
+            stamp = value.boot_us // 1000
+        else:
+            return
+        if source in self._newest and (stamp > self._newest[source] or stamp < self._newest[source] - REBOOT_MS):
+            self._newest[source] = stamp
+
+    def open(self) -> int | None:
+        """The tick (ms) that has come and was not told yet."""
+        stamps = self._newest.values()
+        newest = max(stamps)
+        if newest <= self._told_ms and newest > self._told_ms - REBOOT_MS:
+            return None
+        if min(stamps) < 0:
+            return None
+        late = newest - AWAITED * self._period_ms
+        if all(stamp == newest for stamp in stamps if stamp > late):
+            self._told_ms = newest
+            return newest
+        earlier = newest - self._period_ms
+        if earlier > self._told_ms >= 0:  # somebody has gone on: what is missing of the tick before is not coming
+            self._told_ms = earlier
+            return earlier
+        return None
 
 
 class Observer:
-    """Collects values by time stamp; `take` gives the newest instant that is complete."""
+    """Collects values by time stamp; `estimate` is the state at one of them."""
 
-    def __init__(self, system: System) -> None:
-        self._system = system
-        self._n, self._L = system.length.shape
-        self._links_of = system.n_links.tolist()
-        self._links = sum(self._links_of)
+    def __init__(self, loop: Loop) -> None:
+        self._loop = loop
+        self._n, self._L = loop.system.length.shape
+        self._links_of = loop.system.n_links.tolist()
         self._parts: dict[int, _Parts] = {}
-        self._taken_ms = -1
-        self._ready_ms = -1
+        self._known: dict[int, tuple[State, int]] = {}  # estimates and the stamp that their oldest part rests on
+        self._commands: dict[int, tuple[Array, Array]] = {}  # R_c and f by the state they answered
+        self._oldest_new = -1  # the earliest stamp of which something new is known; -1: none
+        self._tension = np.zeros(self._n)
+        self._moving = False
+        self._begun = False
 
     def feed(self, source: int, value: object) -> None:
         """Take one value from the vehicle with system id `source`, or from the tracker."""
         match value:
             case VehicleAttitude() if 1 <= source <= self._n:
                 self._of(value.boot_ms).attitudes[source - 1] = value
-                self._check(value.boot_ms)
             case VehiclePosition() if 1 <= source <= self._n:
                 self._of(value.boot_ms).positions[source - 1] = value
             case PayloadState() if source > self._n:
                 self._of(value.boot_us // 1000).payload = value
-                self._check(value.boot_us // 1000)
             case CableShape() if source > self._n:
                 self._cable(value)
-                self._check(value.boot_us // 1000)
             case _:
                 pass
 
-    def take(self) -> Instant | None:
-        """The newest complete instant not yet taken; older ones are dropped with it."""
-        if self._ready_ms <= self._taken_ms:
+    def commanded(self, boot_ms: int, R_c: Array, f: Array) -> None:
+        """Remember the setpoints that answer the state of `boot_ms`."""
+        self._commands[boot_ms] = (R_c, f)
+        self._forget(self._commands)
+
+    def released(self) -> None:
+        """From now on things move; before, what is not measured is as it was."""
+        self._moving = True
+
+    def estimate(self, boot_ms: int) -> Instant | None:
+        """The state at `boot_ms`; None until everything has been measured together once."""
+        parts = self._parts.get(boot_ms)
+        state = None if parts is None else self._measured(parts)
+        if state is not None:
+            age = 0
+            self._known[boot_ms] = (state, boot_ms)
+        elif not self._begun:
             return None
-        boot_ms = self._taken_ms = self._ready_ms
-        parts = self._parts[boot_ms]
-        for old in [ms for ms in self._parts if ms <= boot_ms]:
-            del self._parts[old]
-        load = parts.payload
-        assert load is not None
-        if not lie.normalize(parts.q):
+        else:
+            state, rests_on = self._carried(boot_ms)
+            age = boot_ms - rests_on
+        self._begun = True
+        self._oldest_new = -1
+        self._forget(self._known)
+        gap = np.full(self._n, np.nan)
+        if parts is not None:
+            if parts.links_missing == 0:
+                self._tension = parts.tension
+            if parts.positions:
+                hung = positions(self._loop.system, state)
+                for i, said in parts.positions.items():
+                    gap[i] = math.dist(said.x.tolist(), hung[i, 0].tolist())
+        return Instant(boot_ms, state, self._tension, gap, age)
+
+    def known(self, boot_ms: int) -> tuple[State, Array] | None:
+        """The state and the tensions (n,) N of an instant that was measured whole."""
+        parts, known = self._parts.get(boot_ms), self._known.get(boot_ms)
+        if parts is None or known is None or known[1] != boot_ms or parts.links_missing > 0:
             return None
-        n = self._n
-        R, Omega, gap = np.empty((n, 3, 3)), np.empty((n, 3)), np.full(n, np.nan)
-        for i, vehicle in parts.attitudes.items():
-            R[i], Omega[i] = vehicle.R, vehicle.Omega
-        state = State(load.x0, load.v0, load.R0, load.Omega0, parts.q, parts.omega, R, Omega)
-        if parts.positions:
-            hung = positions(self._system, state)
-            for i, said in parts.positions.items():
-                gap[i] = math.dist(said.x.tolist(), hung[i, 0].tolist())
-        return Instant(boot_ms, state, parts.tension, gap)
+        return known[0], parts.tension
+
+    def acting(self, boot_ms: int) -> tuple[Array, Array] | None:
+        """R_c and f that act from `boot_ms` on, if they arrived."""
+        due = boot_ms - self._loop.delay_ms
+        command = self._commands.get(due)
+        if command is None:
+            earlier = [stamp for stamp in self._commands if stamp < due]
+            command = self._commands[max(earlier)] if earlier else None
+        return command
+
+    # -- inside --------------------------------------------------------------------------------------------------------
 
     def _of(self, boot_ms: int) -> _Parts:
-        if boot_ms not in self._parts:
-            if boot_ms + 1000 < self._taken_ms:  # the clock went back: a reboot starts everything anew
-                self._parts.clear()
-                self._taken_ms = self._ready_ms = -1
-            while len(self._parts) >= KEPT:
-                del self._parts[min(self._parts)]
-            self._parts[boot_ms] = _Parts(self._n, self._L)
-            self._parts[boot_ms].links_missing = self._links
-        return self._parts[boot_ms]
+        parts = self._parts.get(boot_ms)
+        if parts is None:
+            newest = max(self._parts, default=boot_ms)
+            if boot_ms < newest - REBOOT_MS:  # the clock went back: everything starts anew
+                for store in (self._parts, self._known, self._commands):
+                    store.clear()
+                self._begun = False
+            parts = self._parts[boot_ms] = _Parts(self._n, self._L, sum(self._links_of))
+            self._forget(self._parts)
+        if self._oldest_new < 0 or boot_ms < self._oldest_new:
+            self._oldest_new = boot_ms
+        return parts
+
+    def _forget(self, store: dict) -> None:
+        while len(store) > KEPT:
+            del store[min(store)]
 
     def _cable(self, c: CableShape) -> None:
         i, k, first = c.cable - 1, len(c.q), c.first_link
         if not 0 <= i < self._n or c.n_links != self._links_of[i] or first + k > self._L:
             return
         parts = self._of(c.boot_us // 1000)
+        if parts.cable_links[i] >= self._links_of[i]:
+            return  # a copy
         parts.q[i, first : first + k] = c.q
         parts.omega[i, first : first + k] = c.omega
+        parts.cable_links[i] += k
         parts.links_missing -= k
         parts.tension[i] = c.tension_N
 
-    def _check(self, boot_ms: int) -> None:
-        parts = self._parts.get(boot_ms)
-        if (
-            parts is not None
-            and parts.payload is not None
-            and len(parts.attitudes) == self._n
-            and parts.links_missing <= 0
-        ):
-            self._ready_ms = max(self._ready_ms, boot_ms)
+    def _measured(self, parts: _Parts) -> State | None:
+        """The state where everything was measured."""
+        load = parts.payload
+        if load is None or len(parts.attitudes) < self._n or parts.links_missing > 0 or not lie.normalize(parts.q):
+            return None
+        R, Omega = np.empty((self._n, 3, 3)), np.empty((self._n, 3))
+        for i, vehicle in parts.attitudes.items():
+            R[i], Omega[i] = vehicle.R, vehicle.Omega
+        return State(load.x0, load.v0, load.R0, load.Omega0, parts.q, parts.omega, R, Omega)
+
+    def _carried(self, boot_ms: int) -> tuple[State, int]:
+        """From the last estimate that nothing new concerns, step by step to `boot_ms`."""
+        first = min(boot_ms, self._oldest_new) if self._oldest_new >= 0 else boot_ms
+        base = max((stamp for stamp in self._known if stamp < first), default=min(self._known))
+        state, rests_on = self._known[base]
+        at = base
+        while at < boot_ms:
+            following = min(at + self._loop.period_ms, boot_ms)
+            state = self._predicted(state, at, following)
+            at = following
+            parts = self._parts.get(at)
+            if parts is not None:
+                whole = self._measured(parts)
+                if whole is not None:
+                    state, rests_on = whole, at
+                else:
+                    state = self._corrected(state, parts)
+            self._known[at] = (state, rests_on)
+        return state, rests_on
+
+    def _predicted(self, state: State, start_ms: int, end_ms: int) -> State:
+        command = self.acting(start_ms)
+        if not self._moving or command is None:
+            return state
+        setpoint = Setpoint.attitude(*command)
+        steps = max(1, round((end_ms - start_ms) * 1e-3 / self._loop.step_s))
+        h = (end_ms - start_ms) * 1e-3 / steps
+        return flown(self._loop.system, self._loop.airframe, setpoint, state, h, steps)
+
+    def _corrected(self, state: State, parts: _Parts) -> State:
+        """`state` with what was measured in its place."""
+        state = state.copy()
+        if parts.payload is not None:
+            p = parts.payload
+            state = state._replace(x0=p.x0, v0=p.v0, R0=p.R0, Omega0=p.Omega0)
+        for i, vehicle in parts.attitudes.items():
+            state.R[i], state.Omega[i] = vehicle.R, vehicle.Omega
+        for i, links in enumerate(parts.cable_links):
+            if links == self._links_of[i] and lie.normalize(parts.q[i : i + 1]):
+                state.q[i], state.omega[i] = parts.q[i], parts.omega[i]
+        return state

@@ -15,7 +15,7 @@ from cablequad._jit import inlined, jit
 from cablequad.integrate import Command, Scratch, advance, scratch
 from cablequad.state import State
 from cablequad.system import System
-from cablequad.types import Array
+from cablequad.types import Array, Triple
 
 
 class Airframe(NamedTuple):
@@ -42,26 +42,32 @@ class Setpoint(NamedTuple):
 
 
 @inlined
+def angular_acceleration(airframe: Airframe, setpoint: Setpoint, i: int, R: Array, O: Triple) -> Triple:
+    """What the law makes of vehicle i's attitude R (3, 3) and rate O, rad/s^2, body frame."""
+    O_c = (setpoint.Omega_c[i, 0], setpoint.Omega_c[i, 1], setpoint.Omega_c[i, 2])
+    w, damping = airframe.bandwidth[i], 2.0 * airframe.damping[i] * airframe.bandwidth[i]
+    error = (0.0, 0.0, 0.0)
+    if not setpoint.rate_only[i]:
+        r = lie.relative(setpoint.R_c[i], R)  # R_c'R
+        error = lie.log_of_rows(r)
+        O_c = (
+            r[0][0] * O_c[0] + r[1][0] * O_c[1] + r[2][0] * O_c[2],
+            r[0][1] * O_c[0] + r[1][1] * O_c[1] + r[2][1] * O_c[2],
+            r[0][2] * O_c[0] + r[1][2] * O_c[1] + r[2][2] * O_c[2],
+        )
+    return (
+        -w * w * error[0] - damping * (O[0] - O_c[0]),
+        -w * w * error[1] - damping * (O[1] - O_c[1]),
+        -w * w * error[2] - damping * (O[2] - O_c[2]),
+    )
+
+
+@inlined
 def moments(system: System, airframe: Airframe, setpoint: Setpoint, state: State, command: Command) -> None:
     """Write the loops' moments (n, 3) N m and the limited thrusts (n,) N into `command`."""
     for i in range(system.m.shape[0]):
         O = (state.Omega[i, 0], state.Omega[i, 1], state.Omega[i, 2])
-        O_c = (setpoint.Omega_c[i, 0], setpoint.Omega_c[i, 1], setpoint.Omega_c[i, 2])
-        w, damping = airframe.bandwidth[i], 2.0 * airframe.damping[i] * airframe.bandwidth[i]
-        error = (0.0, 0.0, 0.0)
-        if not setpoint.rate_only[i]:
-            r = lie.relative(setpoint.R_c[i], state.R[i])  # R_c'R
-            error = lie.log_of_rows(r)
-            O_c = (
-                r[0][0] * O_c[0] + r[1][0] * O_c[1] + r[2][0] * O_c[2],
-                r[0][1] * O_c[0] + r[1][1] * O_c[1] + r[2][1] * O_c[2],
-                r[0][2] * O_c[0] + r[1][2] * O_c[1] + r[2][2] * O_c[2],
-            )
-        wanted = (
-            -w * w * error[0] - damping * (O[0] - O_c[0]),
-            -w * w * error[1] - damping * (O[1] - O_c[1]),
-            -w * w * error[2] - damping * (O[2] - O_c[2]),
-        )
+        wanted = angular_acceleration(airframe, setpoint, i, state.R[i], O)
         J = system.J[i]
         h = (
             J[0, 0] * O[0] + J[0, 1] * O[1] + J[0, 2] * O[2],

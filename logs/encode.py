@@ -65,14 +65,15 @@ def plant(boot_us: int, held: bool, m: Motion) -> Any:
     )  # fmt: skip
 
 
-def control(boot_us: int, sample: Sample, tension: Sequence[float], flying: bool) -> Any:
+def control(boot_us: int, sample: Sample, tension: Sequence[float], flying: bool, age_s: float) -> Any:
     """/control/state."""
     s, e = sample.state, sample.error
     return pb.ControlState(
         sim_time_ns=boot_us * 1000, t=sample.t, phase="fly" if flying else "prepare",
         e_x0=_list(e.x[0:3]), e_v0=_list(e.x_dot[0:3]), Psi_0=sample.Psi_0, e_Omega0=_list(e.x_dot[3:6]),
-        Psi=_list(sample.Psi), e_Omega=_list(s.Omega), e_q=sample.e_q, e_w=sample.e_omega, ideal_force=_list(sample.A), thrust=_list(sample.f),
-        attitude=_quats(sample.R_c), under_way=_list(sample.memory.under_way), state_age=0.0,
+        Psi=_list(sample.Psi), e_Omega=_list(s.Omega),
+        e_q=sample.e_q, e_w=sample.e_omega, ideal_force=_list(sample.A), thrust=_list(sample.f),
+        attitude=_quats(sample.R_c), under_way=_list(sample.memory.under_way), state_age=age_s,
         position=_list(s.x0), velocity=_list(s.v0), tension=tension,
         payload_attitude=_list(lie.quat_from_rotation(s.R0)),
         quad_attitude=_quats(s.R), link_direction=_list(s.q),

@@ -124,9 +124,9 @@ class Recorder:
         """Frames that came in ("rx") or went out ("tx")."""
         self._put(lambda: self._frames_of(boot_us, direction, frames))
 
-    def decided(self, boot_us: int, sample: Sample, tension: list[float], flying: bool) -> None:
-        """A control decision."""
-        self._put(lambda: self._decided(boot_us, sample, tension, flying))
+    def decided(self, boot_us: int, sample: Sample, tension: list[float], flying: bool, age_s: float = 0.0) -> None:
+        """A control decision; `age_s` is that of the oldest measurement that its state rests on."""
+        self._put(lambda: self._decided(boot_us, sample, tension, flying, age_s))
 
     def event(self, boot_us: int, kind: str, subject: str, text: str) -> None:
         """Something worth a line."""
@@ -242,8 +242,8 @@ class Recorder:
             )
             self._write(f"/mavlink/{who}/{direction}", boot_us, message)
 
-    def _decided(self, boot_us: int, sample: Sample, tension: list[float], flying: bool) -> None:
-        self._write("/control/state", boot_us, encode.control(boot_us, sample, tension, flying))
+    def _decided(self, boot_us: int, sample: Sample, tension: list[float], flying: bool, age_s: float) -> None:
+        self._write("/control/state", boot_us, encode.control(boot_us, sample, tension, flying, age_s))
         self._write("/control/reference", boot_us, encode.reference(boot_us, self._model, sample))
         if not self._with_truth:
             thrust: Array = sample.f

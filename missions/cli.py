@@ -31,6 +31,15 @@ PortOffset = Annotated[
 SpeedOption = Annotated[
     str, typer.Option(help="max: lockstep, as fast as the machine allows; X: X times real time, without waiting.")
 ]
+FirmwareOption = Annotated[
+    str | None, typer.Option(help="px4 or arducopter, for every vehicle, instead of what the scenario says.")
+]
+KeyOption = Annotated[
+    Path | None, typer.Option(help="Sign with the key in this file, and obey nothing that is not signed with it.")
+]
+UnsignedOption = Annotated[
+    bool, typer.Option("--accept-unsigned-telemetry", help="With a key: take unsigned messages that ask for nothing.")
+]
 
 
 @app.command()
@@ -50,12 +59,20 @@ def fly(
     replay: Annotated[bool, typer.Option(help="Write the replay (.rrd) beside the log.")] = True,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")] = False,
     port_offset: PortOffset = 0,
+    firmware: FirmwareOption = None,
+    configure: Annotated[
+        bool,
+        typer.Option(help="Set the parameters that a vehicle needs to be flown (with --connect it is only asked)."),
+    ] = False,
+    signing_key: KeyOption = None,
+    accept_unsigned: UnsignedOption = False,
 ) -> None:
     """Fly a scenario over MAVLink: start the vehicles (or connect to what is there), fly the plan, record, report.
 
     Exit code 0 if the scenario's acceptance criteria hold, 1 if not, 2 for usage, 130 after Ctrl-C.
     """
     from bridge.link import Endpoint, LinkError
+    from missions.keys import KeyFileError, read_key
     from missions.run import Options, run
     from missions.scenario import ScenarioError
 
@@ -65,11 +82,13 @@ def fly(
     if duration is not None and not (math.isfinite(duration) and duration > 0):
         _usage(f"--duration: {duration} given; seconds above 0 are needed")
     try:
-        flight = _load(scenario, duration, seed)
-        options = Options(tuple(Endpoint.parse(url) for url in connect or ()), out, pace, port_offset)
+        flight = _load(scenario, duration, seed, firmware)
+        key = None if signing_key is None else read_key(signing_key)
+        ends = tuple(Endpoint.parse(url) for url in connect or ())
+        options = Options(ends, out, pace, port_offset, configure or not ends, key, accept_unsigned)
         with _progress(quiet=as_json) as progress:
             summary, interrupted = run(flight, options, progress)
-    except (ScenarioError, LinkError) as error:
+    except (ScenarioError, LinkError, KeyFileError) as error:
         _usage(str(error))
     if replay and summary.log is not None:
         summary = _write_replay(summary)
@@ -117,20 +136,46 @@ def sitl(
     speed: SpeedOption = "1",
     host: Annotated[str, typer.Option(help="Address to bind and to send to.")] = "127.0.0.1",
     port_offset: PortOffset = 0,
+    firmware: FirmwareOption = None,
+    load: Annotated[
+        bool, typer.Option(help="The load and its cables; --no-load: vehicles on the ground alone.")
+    ] = True,
+    signing_key: KeyOption = None,
+    accept_unsigned: UnsignedOption = False,
 ) -> None:
-    """Serve the scenario's vehicles and payload tracker on UDP until Ctrl-C."""
+    """Serve the scenario's vehicles and payload tracker until Ctrl-C."""
     from bridge.link import LinkError
+    from missions.keys import KeyFileError, read_key
     from missions.scenario import ScenarioError
     from missions.serve import serve
+    from missions.simulate import Serving
     from sitl.plant import PhysicsError
 
     pace = _speed(speed)
     try:
-        serve(_load(scenario, None, None), pace, host, port_offset)
-    except ScenarioError as error:
+        flight = _load(scenario, None, None, firmware)
+        key = None if signing_key is None else read_key(signing_key)
+        serving = Serving(
+            lockstep=math.isinf(pace), speed=pace, port_offset=port_offset, host=host, loose=not load,
+            signing_key=key, accept_unsigned_telemetry=accept_unsigned,
+        )  # fmt: skip
+        serve(flight, serving)
+    except (ScenarioError, KeyFileError) as error:
         _usage(str(error))
     except (LinkError, PhysicsError) as error:
         _fail(str(error))
+
+
+@app.command("signing-key")
+def signing_key(file: Annotated[Path, typer.Argument(help="The new file; only you may read it.")]) -> None:
+    """Make a key for MAVLink 2 signing."""
+    from missions.keys import KeyFileError, write_key
+
+    try:
+        write_key(file)
+    except KeyFileError as error:
+        _usage(str(error))
+    print(file)
 
 
 @app.command()
@@ -207,10 +252,12 @@ def main() -> None:
         sys.exit(INTERRUPTED)
 
 
-def _load(scenario: str, duration: float | None, seed: int | None) -> "Flight":
+def _load(scenario: str, duration: float | None, seed: int | None, firmware: str | None = None) -> "Flight":
     from missions.scenario import load
 
-    return load(scenario, duration, seed)
+    if firmware not in (None, "px4", "arducopter"):
+        _usage(f"--firmware: {firmware!r} given; write px4 or arducopter")
+    return load(scenario, duration, seed, firmware)
 
 
 def _speed(text: str) -> float:

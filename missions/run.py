@@ -17,10 +17,13 @@ from types import FrameType
 
 import numpy as np
 
-from bridge.fleet import Fleet
+from bridge.faults import Channel, generator
+from bridge.fleet import TRACKER, Fleet
 from bridge.fly import Outcome, Plan, Timing, fly
-from bridge.link import Endpoint, Link, LinkError
+from bridge.link import Endpoint, Link, LinkError, Received
+from bridge.observe import Loop
 from bridge.ports import TRACKER_PORTS, vehicle_ports
+from bridge.wire.frames import Signer
 from bridge.wire.messages import attitude_target, reread
 from bridge.wire.messages import encode as encode_message
 from bridge.wire.values import PayloadState, VehicleAttitude
@@ -32,11 +35,14 @@ from logs.recorder import Attachment, RecorderError
 from missions import scenario as scenarios
 from missions.scenario import Flight
 from missions.scribe import Opening, Scribe
-from missions.simulate import Simulator, few_collections, settings
+from missions.simulate import Serving, Simulator, few_collections, settings
 from missions.summary import Summary, Track, summarize
 from sitl.server import HOST
 
 SWITCH_S = 0.0005  # the writer thread gives the interpreter back to the control loop this often
+
+
+NO_TIME = Timing(0, 0, [], [], 0.0, [], 0)
 
 
 @dataclass(frozen=True)
@@ -47,6 +53,9 @@ class Options:
     out: Path = Path("runs")
     speed: float = math.inf  # inf: lockstep, as fast as the machine allows
     port_offset: int = 0
+    configure: bool = True  # set the parameters that a vehicle needs to be flown
+    signing_key: bytes | None = None
+    accept_unsigned_telemetry: bool = False
 
 
 class Progress:
@@ -68,8 +77,8 @@ class _Watch:
         self.ended = False
         self.received, self.sent, self.perf = scribe.received, scribe.sent, scribe.perf
 
-    def decided(self, boot_us: int, sample: Sample, tension: list[float], flying: bool) -> None:
-        self.scribe.decided(boot_us, sample, tension, flying)
+    def decided(self, boot_us: int, sample: Sample, tension: list[float], flying: bool, age_s: float) -> None:
+        self.scribe.decided(boot_us, sample, tension, flying, age_s)
         if flying and not self.ended:
             self.track.decided(sample)
             self.track.tension(min(tension))
@@ -92,18 +101,21 @@ def run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary, 
 
 def _run(flight: Flight, design: Design, options: Options, progress: Progress) -> tuple[Summary, bool]:
     n = len(flight.system.m)
-    link = Link(_endpoints(n, options))
+    key = options.signing_key
+    signer = Signer(key, 2, options.accept_unsigned_telemetry) if key is not None else None
+    link = Link(_endpoints(n, options), signer)
     simulator: Simulator | None = None
     scribe: Scribe | None = None
     before, thresholds = sys.getswitchinterval(), gc.get_threshold()
     try:
         scribe = Scribe(_opening(flight, design, options))
         if not options.connect:
-            values = settings(
-                flight, lockstep=math.isinf(options.speed), await_controller=True, speed=options.speed,
-                port_offset=options.port_offset, host=HOST,
+            serving = Serving(
+                lockstep=math.isinf(options.speed), await_controller=True, speed=options.speed,
+                port_offset=options.port_offset, signing_key=key,
+                accept_unsigned_telemetry=options.accept_unsigned_telemetry,
             )  # fmt: skip
-            simulator = Simulator(values, scribe.truth_end)
+            simulator = Simulator(settings(flight, serving), scribe.truth_end)
             progress.say("starting the vehicles (the first start on a machine compiles the model: about half a minute)")
         scribe.wait_ready()
         watch = _Watch(scribe)
@@ -113,9 +125,9 @@ def _run(flight: Flight, design: Design, options: Options, progress: Progress) -
         with _interrupts() as interrupted:
             if simulator is not None and not simulator.wait_ready(lambda: not interrupted()):
                 outcome = Outcome(False, interrupted(), simulator.failure or "interrupted by the user")
-                timing = Timing(0, 0, [], [], 0.0)
+                timing = NO_TIME
             else:
-                outcome, timing = _fly(flight, design, link, watch, simulator, interrupted, progress)
+                outcome, timing = _fly(flight, design, link, watch, simulator, interrupted, progress, options.configure)
         if simulator is not None:
             simulator.stop()
         true_tension_N = scribe.smallest_tension_N(outcome.completed)
@@ -151,11 +163,20 @@ def _fly(
     simulator: Simulator | None,
     interrupted: Callable[[], bool],
     progress: Progress,
+    configure: bool,
 ) -> tuple[Outcome, Timing]:
     s = flight.scenario
     target = Reference(np.array(s.target.position_m), np.zeros(3))
     plan = Plan(lambda _: target, s.duration_s)
-    fleet = Fleet(flight.airframe.max_thrust.tolist(), flight.control_us * 1e-6)
+    period_ms = flight.control_us // 1000
+    delay_ms = s.control.delay_ticks * period_ms
+    loop = Loop(flight.system, flight.airframe, period_ms, delay_ms, flight.physics_us * 1e-6)
+    fleet = Fleet(flight.airframe.max_thrust.tolist(), flight.control_us * 1e-6, configure)
+    channels = {
+        (TRACKER if i == len(flight.firmware) else i + 1): Channel[Received](faults, generator(s.seed, i + 1, up=False))
+        for i, faults in enumerate(flight.faults_down)
+        if not faults.none
+    }
     started: list[float] = []
 
     def look(phase: str, sample: Sample | None) -> str | None:
@@ -173,7 +194,7 @@ def _fly(
             progress.flown(sample.t, s.duration_s, error, sample.t / max(1e-9, now - started[0]))
         return None
 
-    outcome, timing = fly(link, fleet, plan, design, flight.control_us * 1e-6, watch, s.link.connect_timeout_s, look)
+    outcome, timing = fly(link, fleet, plan, design, loop, watch, s.link.connect_timeout_s, look, channels)
     return outcome._replace(interrupted=outcome.interrupted or interrupted()), timing
 
 
@@ -298,6 +319,4 @@ def _commit() -> str:
 
 def _nothing(flight: Flight, reason: str) -> Summary:
     none = Outcome(False, False, reason)
-    return summarize(
-        flight.scenario.name, flight.scenario.acceptance, Track(), none, Timing(0, 0, [], [], 0.0), 0, 0, 0, 0
-    )
+    return summarize(flight.scenario.name, flight.scenario.acceptance, Track(), none, NO_TIME, 0, 0, 0, 0)

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
+from bridge.faults import Faults
 from cablequad import lie
 from cablequad.attitude import Airframe
 from cablequad.design import Design, DesignError, Weights, continuous_law, sampled_law
@@ -17,6 +18,7 @@ from cablequad.linear import EquilibriumError, equilibrium
 from cablequad.state import State
 from cablequad.stiffness import STABLE, stable_substep
 from cablequad.system import Cable, Payload, Quadrotor, System, box_inertia
+from sitl.firmware.parameters import arducopter_parameters, px4_parameters
 
 
 class ScenarioError(Exception):
@@ -34,6 +36,7 @@ def _number(value: Any) -> Any:
 Real = Annotated[float, BeforeValidator(_number)]
 Positive = Annotated[float, BeforeValidator(_number), Field(gt=0)]
 NotNegative = Annotated[float, BeforeValidator(_number), Field(ge=0)]
+Share = Annotated[float, BeforeValidator(_number), Field(ge=0, le=1)]
 Vector = Annotated[list[Real], Field(min_length=3, max_length=3)]
 Box = Annotated[list[Positive], Field(min_length=3, max_length=3)]
 Inertia = Annotated[list[Positive], Field(min_length=3, max_length=3)]
@@ -67,6 +70,10 @@ class CableTable(_Table):
         return self
 
 
+Firmware = Literal["px4", "arducopter"]
+ParameterName = Annotated[str, Field(pattern=r"^[A-Z][A-Z0-9_]{0,15}$")]
+
+
 class VehicleTable(_Table):
     """[vehicle]"""
 
@@ -75,6 +82,9 @@ class VehicleTable(_Table):
     max_thrust_N: Positive
     attitude_bandwidth_rad_s: Positive = 40.0
     attitude_damping: Positive = 0.9
+    firmware: Firmware = "px4"
+    estimator_ready_s: NotNegative | None = None  # as the firmware takes
+    parameters: dict[ParameterName, Real] = {}  # set before boot
 
 
 class OneVehicleTable(_Table):
@@ -86,6 +96,9 @@ class OneVehicleTable(_Table):
     max_thrust_N: Positive | None = None
     attitude_bandwidth_rad_s: Positive | None = None
     attitude_damping: Positive | None = None
+    firmware: Firmware | None = None
+    estimator_ready_s: NotNegative | None = None
+    parameters: dict[ParameterName, Real] = {}
     cable: CableTable | None = None
     initial_attitude_deg: Vector = [0.0, 0.0, 0.0]
     initial_link_directions: list[Vector] | None = None
@@ -163,6 +176,52 @@ class AcceptanceTable(_Table):
     settling_time_s: Positive | None = None
 
 
+class FaultTable(_Table):
+    """One direction of one link in [faults]."""
+
+    delay_ms: NotNegative = 0.0
+    jitter_ms: NotNegative = 0.0
+    loss: Share = 0.0
+    burst_loss: Share = 0.0
+    burst_frames: Annotated[float, BeforeValidator(_number), Field(ge=1)] = 10.0
+    duplicate: Share = 0.0
+    reorder: Share = 0.0
+    rate_bytes_s: NotNegative = 0.0
+
+
+class VehicleFaultTable(_Table):
+    """[[faults.vehicles]]: instead of what all vehicles have"""
+
+    vehicle: Annotated[int, Field(ge=1)]
+    down: FaultTable | None = None
+    up: FaultTable | None = None
+
+
+class CutTable(_Table):
+    """[[faults.cuts]]: nothing passes, in time since the release"""
+
+    vehicle: Annotated[int, Field(ge=1)] | None = None  # all of them
+    direction: Literal["down", "up", "both"] = "both"
+    from_s: NotNegative
+    to_s: Positive
+
+    @model_validator(mode="after")
+    def _in_order(self) -> "CutTable":
+        if self.to_s <= self.from_s:
+            raise ValueError(f"to_s: {self.to_s:g} given; it must be later than from_s ({self.from_s:g})")
+        return self
+
+
+class FaultsTable(_Table):
+    """[faults]: what the links do to frames; down is from the vehicle, up is to it"""
+
+    down: FaultTable = FaultTable()
+    up: FaultTable = FaultTable()
+    tracker: FaultTable = FaultTable()
+    vehicles: list[VehicleFaultTable] = []
+    cuts: list[CutTable] = []
+
+
 class LinkTable(_Table):
     """[link]"""
 
@@ -188,6 +247,7 @@ class Scenario(_Table):
     control: ControlTable = ControlTable()
     physics: PhysicsTable = PhysicsTable()
     link: LinkTable = LinkTable()
+    faults: FaultsTable = FaultsTable()
     acceptance: AcceptanceTable = AcceptanceTable()
 
     @model_validator(mode="after")
@@ -198,6 +258,11 @@ class Scenario(_Table):
                 f"physics.rate_hz: {self.physics.rate_hz:g} given; it must be a whole multiple of control.rate_hz "
                 f"({self.control.rate_hz:g})"
             )
+        named = [(f"vehicles.{k}", entry.vehicle) for k, entry in enumerate(self.faults.vehicles)]
+        named += [(f"cuts.{k}", cut.vehicle) for k, cut in enumerate(self.faults.cuts) if cut.vehicle is not None]
+        for key, number in named:
+            if number > len(self.vehicles):
+                raise ValueError(f"faults.{key}.vehicle: {number} given; there are {len(self.vehicles)} vehicles")
         for i, vehicle in enumerate(self.vehicles):
             directions, cable = vehicle.initial_link_directions, vehicle.cable or self.cable
             if directions is not None and len(directions) != len(cable.link_lengths_m):
@@ -222,6 +287,9 @@ class Flight(NamedTuple):
     physics_us: int
     tick_us: int
     notes: list[str]  # what was chosen that the file does not say
+    firmware: tuple[str, ...]  # the persona of each vehicle
+    faults_up: tuple[Faults, ...]  # of what each vehicle receives
+    faults_down: tuple[Faults, ...]  # of what each vehicle sends, and then of what the tracker sends
 
 
 TICK_US = 4000  # the vehicles speak at 250 Hz, or as often as control asks
@@ -259,8 +327,8 @@ def parse(source: str, name: str) -> Scenario:
         raise ScenarioError(f"scenario {name}: {_explain(error)}") from None
 
 
-def load(name: str, duration_s: float | None = None, seed: int | None = None) -> Flight:
-    """A flight from a shipped name or a path. Raises ScenarioError."""
+def load(name: str, duration_s: float | None = None, seed: int | None = None, firmware: str | None = None) -> Flight:
+    """A flight from a shipped name or a path; what is given replaces what the file says. Raises ScenarioError."""
     source = text(name)
     scenario = parse(source, name)
     changes: dict[str, Any] = {}
@@ -268,6 +336,9 @@ def load(name: str, duration_s: float | None = None, seed: int | None = None) ->
         changes["duration_s"] = duration_s
     if seed is not None:
         changes["seed"] = seed
+    if firmware is not None:
+        changes["vehicle"] = scenario.vehicle.model_copy(update={"firmware": firmware})
+        changes["vehicles"] = [v.model_copy(update={"firmware": None}) for v in scenario.vehicles]
     if changes:
         scenario = scenario.model_copy(update=changes)
     try:
@@ -330,6 +401,11 @@ def _flight(s: Scenario, source: str) -> Flight:
             initial.q[i, : len(q)] = q / np.linalg.norm(q, axis=1, keepdims=True)
     control_us = round(1e6 / s.control.rate_hz)
     notes = []
+    presets = {"px4": px4_parameters, "arducopter": arducopter_parameters}
+    for i, v in enumerate(s.vehicles):
+        table = presets[of(v, "firmware")](i + 1, 0.5)
+        for name, value in {**s.vehicle.parameters, **v.parameters}.items():
+            table.preset(name, value)  # raises for what such a vehicle does not have
     tick_us = TICK_US if control_us % TICK_US == 0 else control_us
     asked_us = round(1e6 / s.physics.rate_hz)
     physics_us = stable_substep(system, asked_us, tick_us)
@@ -341,7 +417,35 @@ def _flight(s: Scenario, source: str) -> Flight:
             f"attitude_bandwidth_rad_s: {fastest:g} given; with a physics step of {physics_us} us at most "
             f"{STABLE / (physics_us * 1e-6):g} can be simulated"
         )
-    return Flight(s, source, system, airframe, initial, control_us, physics_us, tick_us, notes)
+    down, up = _faults(s)
+    return Flight(
+        s, source, system, airframe, initial, control_us, physics_us, tick_us, notes,
+        tuple(of(v, "firmware") for v in s.vehicles), up, down,
+    )  # fmt: skip
+
+
+def _faults(s: Scenario) -> tuple[tuple[Faults, ...], tuple[Faults, ...]]:
+    """What each vehicle's link and the tracker's do (down), and what each vehicle's does the other way (up)."""
+    own = {entry.vehicle: entry for entry in s.faults.vehicles}
+
+    def of(table: FaultTable, number: int, direction: str) -> Faults:
+        cuts = tuple(
+            (round(c.from_s * 1e6), round(c.to_s * 1e6))
+            for c in s.faults.cuts
+            if c.vehicle in (None, number) and c.direction in (direction, "both")
+        )
+        return Faults(
+            round(table.delay_ms * 1e3), round(table.jitter_ms * 1e3), table.loss, table.burst_loss,
+            table.burst_frames, table.duplicate, table.reorder, table.rate_bytes_s, cuts,
+        )  # fmt: skip
+
+    down, up = [], []
+    for i in range(len(s.vehicles)):
+        entry = own.get(i + 1)
+        down.append(of((entry and entry.down) or s.faults.down, i + 1, "down"))
+        up.append(of((entry and entry.up) or s.faults.up, i + 1, "up"))
+    tracker = of(s.faults.tracker, -1, "down")
+    return (*down, tracker._replace(cuts_us=())), tuple(up)
 
 
 def _hanging(system: System) -> np.ndarray:

@@ -92,12 +92,12 @@ class Scribe:
         """Frames that went out, each with the system it went to."""
         self._put("tx", boot_us, [(to, frame.frame) for to, frame in frames])
 
-    def decided(self, boot_us: int, sample: Sample, tension: list[float], flying: bool) -> None:
+    def decided(self, boot_us: int, sample: Sample, tension: list[float], flying: bool, age_s: float) -> None:
         """A control decision, which ends a tick."""
         if not self._shapes_told:
             self._shapes_told = True
             self._put("shapes", boot_us, sample_shapes(sample))
-        self._put("decided", boot_us, put_sample(sample), tension, flying)
+        self._put("decided", boot_us, put_sample(sample), tension, flying, age_s)
         self._decisions += 1
         if self._decisions % TOGETHER == 0:
             self.flush()

@@ -1,6 +1,5 @@
 """`cablequad sitl`: the vehicles alone, until they are told to stop."""
 
-import math
 import signal
 import threading
 from types import FrameType
@@ -9,13 +8,17 @@ from rich.console import Console
 from rich.table import Table
 
 from missions.scenario import Flight
-from missions.simulate import settings
+from missions.simulate import Serving, settings
 from sitl.plant import Truth
-from sitl.server import Event, Server, endpoints
+from sitl.server import Event, Server, places, tracker_endpoints
 
 
-def serve(flight: Flight, speed: float, host: str, port_offset: int) -> None:
-    """Serve until SIGINT or SIGTERM. Raises LinkError for an address that is taken, PhysicsError if motion diverges."""
+def serve(flight: Flight, serving: Serving) -> None:
+    """Serve until SIGINT or SIGTERM.
+
+    Raises LinkError for an address that is taken, ValueError for a parameter that a vehicle does not have, PhysicsError
+    if motion diverges.
+    """
     console = Console(highlight=False)
     stopped = threading.Event()
 
@@ -28,18 +31,14 @@ def serve(flight: Flight, speed: float, host: str, port_offset: int) -> None:
 
     for note in flight.notes:
         console.print(note)
-    lockstep = math.isinf(speed)
-    server = Server(
-        settings(flight, lockstep=lockstep, await_controller=False, speed=speed, port_offset=port_offset, host=host),
-        sink,
-    )
+    server = Server(settings(flight, serving), sink)
     signal.signal(signal.SIGINT, stop)
     signal.signal(signal.SIGTERM, stop)
-    console.print(_addresses(flight, host, port_offset))
+    console.print(_addresses(flight, serving))
     console.print(
         "lockstep with a controller 250/191 that answers every state; real time for everyone else"
-        if lockstep
-        else f"{speed:g} x real time"
+        if serving.lockstep
+        else f"{serving.speed:g} x real time"
     )
     try:
         report = server.run(stopped.is_set)
@@ -56,17 +55,22 @@ def serve(flight: Flight, speed: float, host: str, port_offset: int) -> None:
         console.print(f"stopped after {report.ticks} ticks")
 
 
-def _addresses(flight: Flight, host: str, offset: int) -> Table:
-    n = len(flight.system.m)
-    ends = endpoints(n, offset, host)
-    table = Table(title=f"{flight.scenario.name}: {n} vehicles and a payload tracker", title_justify="left")
-    for column in ("system", "component", "sends to", "listens on"):
+def _addresses(flight: Flight, serving: Serving) -> Table:
+    offset, host = serving.port_offset, serving.host
+    n = len(flight.firmware)
+    what = "vehicles on the ground, no load" if serving.loose else "vehicles and a payload tracker"
+    table = Table(title=f"{flight.scenario.name}: {n} {what}", title_justify="left")
+    for column in ("system", "component", "firmware", "link", "sends to", "listens on"):
         table.add_column(column)
-    for i in range(n):
-        table.add_row(str(i + 1), "1", _url(ends[i].peer), _url(ends[i].bind))
-    table.add_row("200 (payload)", "191", _url(ends[2 * n + 1].peer), _url(ends[2 * n + 1].bind))
-    table.add_row("all", "", f"{_url(ends[n].peer)} (ground station)", _url(ends[n].bind) + " ...")
-    table.add_row("all", "", "whoever speaks", _url(ends[2 * n].bind))
+    for place in places(flight.firmware, offset, host):
+        who = "all" if place.vehicle is None else str(place.vehicle + 1)
+        firmware = "" if place.vehicle is None else flight.firmware[place.vehicle]
+        kind = "tcp" if place.endpoint.stream else "udp"
+        to = _url(place.endpoint.peer) if place.endpoint.peer else "whoever speaks"
+        table.add_row(who, "1", firmware, f"{place.kind.name.lower()}, {kind}", to, _url(place.endpoint.bind))
+    if not serving.loose:
+        for end in tracker_endpoints(offset, host):
+            table.add_row("200 (payload)", "191", "", "tracker, udp", _url(end.peer), _url(end.bind))
     return table
 
 

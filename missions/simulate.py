@@ -8,21 +8,38 @@ import signal
 import threading
 from collections.abc import Callable
 from multiprocessing.connection import Connection
+from typing import NamedTuple
 
 from bridge.link import LinkError
+from bridge.wire.telemetry import Home
 from missions.channel import Failure, Ready, Status, put
 from missions.scenario import Flight
 from sitl.plant import PhysicsError, Truth
-from sitl.server import Event, Report, Server, Settings
+from sitl.server import HOST, Event, Report, Server, Settings
 
 TOLD_TOGETHER = 8  # ticks of truth in one write: a wake-up of the scribe costs more than what it is told
 START_S = 180.0  # the first start on a machine compiles the model
 
 
-def settings(
-    flight: Flight, *, lockstep: bool, await_controller: bool, speed: float, port_offset: int, host: str
-) -> Settings:
+class Serving(NamedTuple):
+    """How to serve a flight's vehicles."""
+
+    lockstep: bool
+    await_controller: bool = False
+    speed: float = 1.0
+    port_offset: int = 0
+    host: str = HOST
+    loose: bool = False
+    signing_key: bytes | None = None
+    accept_unsigned_telemetry: bool = False
+
+
+def settings(flight: Flight, serving: Serving) -> Settings:
     """The server's settings for a flight."""
+    s = flight.scenario
+    ready = [
+        v.estimator_ready_s if v.estimator_ready_s is not None else s.vehicle.estimator_ready_s for v in s.vehicles
+    ]
     return Settings(
         system=flight.system,
         airframe=flight.airframe,
@@ -30,13 +47,22 @@ def settings(
         physics_us=flight.physics_us,
         tick_us=flight.tick_us,
         control_us=flight.control_us,
-        delay_us=flight.scenario.control.delay_ticks * flight.control_us,
-        lockstep=lockstep,
-        await_controller=await_controller,
-        speed=speed,
-        answer_timeout_s=flight.scenario.link.answer_timeout_s,
-        port_offset=port_offset,
-        host=host,
+        delay_us=s.control.delay_ticks * flight.control_us,
+        lockstep=serving.lockstep,
+        await_controller=serving.await_controller,
+        speed=serving.speed,
+        answer_timeout_s=s.link.answer_timeout_s,
+        port_offset=serving.port_offset,
+        host=serving.host,
+        home=Home(epoch_s=s.epoch_s),
+        firmware=flight.firmware,
+        parameters=tuple({**s.vehicle.parameters, **v.parameters} for v in s.vehicles),
+        ready_us=tuple(None if t is None else round(t * 1e6) for t in ready),
+        loose=serving.loose,
+        faults=flight.faults_up,
+        seed=s.seed,
+        signing_key=serving.signing_key,
+        accept_unsigned_telemetry=serving.accept_unsigned_telemetry,
     )
 
 
@@ -63,7 +89,7 @@ def _child(values: Settings, status: Connection, truth: Connection) -> None:
 
     try:
         server = Server(values, sink)
-    except LinkError as error:
+    except (LinkError, ValueError) as error:
         status.send(Failure(str(error)))
         return
     try:

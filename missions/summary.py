@@ -71,6 +71,9 @@ class Summary(NamedTuple):
     missed_deadlines: int = 0
     jitter_us: dict[str, float] | None = None
     criteria: list[dict[str, Any]] | None = None
+    predicted_ticks: int = 0  # answered with a state that was not all measured
+    injected: dict[str, int] | None = None  # frames that [faults] took or doubled on their way to the controller
+    thrust_scale: list[dict[str, float]] | None = None  # of each vehicle: newtons made per newton asked
 
 
 def criteria(limits: AcceptanceTable, s: Summary) -> list[Criterion]:
@@ -132,6 +135,10 @@ def summarize(
         flown_s=0.0 if last is None else last.t,
         missed_deadlines=missed_deadlines,
         jitter_us=_jitter(timing.intervals_s) if enough else None,
+        predicted_ticks=timing.predicted_ticks,
+        thrust_scale=[
+            {"scale": round(k.scale, 5), "error": round(k.error, 5)} for k in timing.thrust_scales if k.pairs > 2
+        ],
     )
     found = criteria(limits, s)
     failed = [c for c in found if not c.holds]

@@ -4,14 +4,16 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from cablequad.attitude import Airframe, Setpoint, fly
 from cablequad.dynamics import accelerations
 from cablequad.integrate import scratch
+from cablequad.loose import fly_loose
 from cablequad.state import State, positions, velocities
 from cablequad.system import System
 from cablequad.types import Array
-from sitl.firmware.px4 import Actuation
+from sitl.firmware.autopilot import Actuation
 
 
 class Truth(NamedTuple):
@@ -28,6 +30,17 @@ class Truth(NamedTuple):
 
 class PhysicsError(ArithmeticError):
     """The motion left the numbers."""
+
+
+def _commanded(airframe: Airframe, actuation: Sequence[Actuation]) -> Setpoint:
+    """What flight controllers ask, as the attitude loops take it: rotors give max_thrust throttle^2."""
+    n = len(actuation)
+    R_c, Omega_c = np.empty((n, 3, 3)), np.empty((n, 3))
+    for i, a in enumerate(actuation):
+        R_c[i], Omega_c[i] = a.R_c, a.Omega_c
+    throttle = np.array([min(max(a.throttle, 0.0), 1.0) for a in actuation])
+    rate_only = np.array([a.rate_only for a in actuation])
+    return Setpoint(R_c, Omega_c, airframe.max_thrust * throttle**2, rate_only)
 
 
 class Plant:
@@ -55,15 +68,19 @@ class Plant:
         self.held = True
         self.thrust = np.zeros(len(self.system.m))
 
+    @property
+    def attitudes(self) -> tuple[Array, Array]:
+        """(n, 3, 3) and (n, 3) rad/s: of the vehicles."""
+        return self.state.R, self.state.Omega
+
+    def standing(self) -> npt.NDArray[np.bool_]:
+        """(n,) who stands on something."""
+        return np.full(len(self.system.m), self.held)
+
     def command(self, actuation: Sequence[Actuation]) -> None:
         """What acts from now on."""
-        n = len(actuation)
-        R_c, Omega_c = np.empty((n, 3, 3)), np.empty((n, 3))
-        for i, a in enumerate(actuation):
-            R_c[i], Omega_c[i] = a.R_c, a.Omega_c
-        throttle = np.array([min(max(a.throttle, 0.0), 1.0) for a in actuation])
-        self.thrust = self.airframe.max_thrust * throttle**2
-        self._setpoint = Setpoint(R_c, Omega_c, self.thrust, np.array([a.rate_only for a in actuation]))
+        self._setpoint = _commanded(self.airframe, actuation)
+        self.thrust = self._setpoint.thrust
 
     def advance(self, steps: int) -> None:
         """`steps` physics steps under what was commanded. Raises PhysicsError when the state is no longer finite."""
@@ -93,3 +110,58 @@ class Plant:
         pull = truth.tension[:, 0, None] * s.q[:, 0]
         world = (pull - truth.thrust[:, None] * s.R[:, :, 2]) / self.system.m[:, None]
         return np.einsum("iba,ib->ia", s.R, world)
+
+
+class LoosePlant:
+    """n vehicles by themselves on level ground at z = 0: a fleet for ground stations and scripts, without a load."""
+
+    def __init__(self, system: System, airframe: Airframe, initial: State, h: float) -> None:
+        self.system, self.airframe, self.h = system, airframe, h
+        self._places = positions(system, initial)[:, 0]
+        self._places[:, 2] = 0.0
+        self.held = False
+        self.thrust = np.zeros(len(system.m))
+        self.reset()
+        self.command([Actuation(np.eye(3), np.zeros(3), 0.0, False) for _ in system.m])
+        self.advance(1)
+        self.reset()
+
+    def reset(self) -> None:
+        """Everyone on the ground in its place."""
+        n = len(self.system.m)
+        self.x, self.v = self._places.copy(), np.zeros((n, 3))
+        self.R, self.Omega = np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3))
+        self._standing = np.full(n, True)
+
+    @property
+    def attitudes(self) -> tuple[Array, Array]:
+        """(n, 3, 3) and (n, 3) rad/s: of the vehicles."""
+        return self.R, self.Omega
+
+    def standing(self) -> npt.NDArray[np.bool_]:
+        """(n,) who stands on the ground."""
+        return self._standing
+
+    def kinematics(self) -> tuple[Array, Array]:
+        """(n, 3) m and (n, 3) m/s, W."""
+        return self.x.copy(), self.v.copy()
+
+    def command(self, actuation: Sequence[Actuation]) -> None:
+        """What acts from now on."""
+        self._setpoint = _commanded(self.airframe, actuation)
+        self.thrust = self._setpoint.thrust
+
+    def advance(self, steps: int) -> None:
+        """`steps` physics steps under what was commanded."""
+        self.R, self.Omega = self.R.copy(), self.Omega.copy()  # what was handed out stays as it was
+        self._standing = fly_loose(
+            self.system.m, self.system.g, self.airframe, self._setpoint, self.x, self.v, self.R, self.Omega, 0.0,
+            self.h, steps,
+        )  # fmt: skip
+
+    def specific_force(self) -> Array:
+        """(n, 3) m/s^2, body frames: what each vehicle's accelerometer reads."""
+        out = np.zeros_like(self.x)
+        out[:, 2] = -self.thrust / self.system.m
+        out[self._standing] = (0.0, 0.0, -self.system.g)
+        return out

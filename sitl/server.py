@@ -10,8 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bridge.faults import Channel, Faults, generator
 from bridge.link import Endpoint, Link, Received
-from bridge.ports import GROUND_PORT, LISTEN_PORT, TRACKER_PORTS, vehicle_ports
+from bridge.ports import GROUND_PORT, LISTEN_PORT, TRACKER_PORTS, stream_port, vehicle_ports
+from bridge.wire.frames import Signer
 from bridge.wire.messages import encode
 from bridge.wire.telemetry import BUILD, Home, Snapshot
 from bridge.wire.values import IN_AIR, ON_GROUND, AttitudeTarget, Timesync
@@ -20,14 +22,14 @@ from cablequad.state import State
 from cablequad.system import System
 from cablequad.types import Array
 from sitl import tracker
-from sitl.firmware import hold
-from sitl.firmware.modes import Mode
-from sitl.firmware.px4 import ATTITUDE_QUATERNION, HIGHRES_IMU, Px4
-from sitl.plant import Plant, Truth
+from sitl.firmware.arducopter import ArduCopter
+from sitl.firmware.autopilot import ATTITUDE_QUATERNION, HIGHRES_IMU, Autopilot, Body, LinkKind
+from sitl.firmware.px4 import Px4
+from sitl.plant import LoosePlant, Plant, Truth
 
 CONTROLLER = (250, 191)  # whose setpoints may hold the clock
 HOST = "127.0.0.1"
-ONBOARD, GCS, LISTEN = 0, 1, 2
+PERSONAS: dict[str, type[Px4] | type[ArduCopter]] = {"px4": Px4, "arducopter": ArduCopter}
 CATCH_UP = 0.25  # s behind the wall clock that are made up for; more is let go
 
 
@@ -48,6 +50,14 @@ class Settings(NamedTuple):
     port_offset: int = 0
     host: str = HOST
     home: Home = Home()
+    firmware: tuple[str, ...] = ()  # the persona of each vehicle; px4 where it is not said
+    parameters: tuple[dict[str, float], ...] = ()  # set before boot, for each vehicle
+    ready_us: tuple[int | None, ...] = ()  # when each estimator has a position; None: as the firmware takes
+    loose: bool = False  # the vehicles alone on the ground: no load, no cables, no tracker
+    faults: tuple[Faults, ...] = ()  # of what each vehicle receives
+    seed: int = 0
+    signing_key: bytes | None = None
+    accept_unsigned_telemetry: bool = False
 
 
 class Event(NamedTuple):
@@ -71,19 +81,39 @@ class Report(NamedTuple):
 Sink = Callable[[Truth | Event], None]
 
 
-def endpoints(n: int, offset: int, host: str) -> list[Endpoint]:
-    """Every port of n vehicles and their payload tracker.
+class Place(NamedTuple):
+    """What one of the server's ports is for."""
 
-    Onboard links and ground station links (PX4's 14580+i -> 14540+i and 18570+i -> 14550), 14555 for clients that speak
-    first, the tracker (14640 -> 14600) and its ground station link.
+    endpoint: Endpoint
+    vehicle: int | None  # None: all of them, or the tracker
+    kind: LinkKind
+
+
+def places(firmware: tuple[str, ...], offset: int, host: str) -> list[Place]:
+    """Every port of the vehicles, by their firmware's conventions.
+
+    Onboard links and ground station links (14580 + i -> 14540 + i and 18570 + i -> 14550), 14555 for clients that speak
+    first, and where an ArduCopter waits for TCP clients (5760 + 10 i).
     """
+    n = len(firmware)
+    onboard = [Place(_end(host, offset, *reversed(vehicle_ports(i))), i, LinkKind.ONBOARD) for i in range(n)]
+    ground = [Place(_end(host, offset, 18570 + i, GROUND_PORT), i, LinkKind.GROUND) for i in range(n)]
+    shared = [Place(_end(host, offset, LISTEN_PORT, None), None, LinkKind.GROUND)]
+    streams = [
+        Place(_end(host, offset, stream_port(i), None)._replace(stream=True), i, LinkKind.GROUND)
+        for i, name in enumerate(firmware)
+        if name == "arducopter"
+    ]
+    return [*onboard, *ground, *shared, *streams]
 
-    def end(here: int, there: int | None) -> Endpoint:
-        return Endpoint((host, here + offset), None if there is None else (host, there + offset))
 
-    onboard = [end(vehicle_ports(i)[1], vehicle_ports(i)[0]) for i in range(n)]
-    ground = [end(18570 + i, GROUND_PORT) for i in range(n)]
-    return [*onboard, *ground, end(LISTEN_PORT, None), end(TRACKER_PORTS[1], TRACKER_PORTS[0]), end(18540, GROUND_PORT)]
+def tracker_endpoints(offset: int, host: str) -> tuple[Endpoint, Endpoint]:
+    """The payload tracker's ports: to the controller and to ground stations."""
+    return _end(host, offset, TRACKER_PORTS[1], TRACKER_PORTS[0]), _end(host, offset, 18540, GROUND_PORT)
+
+
+def _end(host: str, offset: int, here: int, there: int | None) -> Endpoint:
+    return Endpoint((host, here + offset), None if there is None else (host, there + offset))
 
 
 class Server:
@@ -91,13 +121,21 @@ class Server:
 
     def __init__(self, settings: Settings, sink: Sink) -> None:
         s = settings
-        self.n = len(s.system.m)
+        self.n = n = len(s.system.m)
         self.settings = s
-        self.link = Link(endpoints(self.n, s.port_offset, s.host))
-        self.plant = Plant(s.system, s.airframe, s.initial, s.physics_us * 1e-6)
-        self.vehicles = [
-            Px4(i + 1, s.tick_us, (False, True, True), float(s.airframe.max_thrust[i])) for i in range(self.n)
+        firmware = s.firmware or ("px4",) * n
+        self._places = places(firmware, s.port_offset, s.host)
+        trackers = () if s.loose else tracker_endpoints(s.port_offset, s.host)
+        signer = Signer(s.signing_key, 1, s.accept_unsigned_telemetry) if s.signing_key is not None else None
+        self.link = Link([*(place.endpoint for place in self._places), *trackers], signer)
+        kind = LoosePlant if s.loose else Plant
+        self.plant: Plant | LoosePlant = kind(s.system, s.airframe, s.initial, s.physics_us * 1e-6)
+        self._ports = [[k for k, p in enumerate(self._places) if p.vehicle in (i, None)] for i in range(n)]
+        self.vehicles = [self._vehicle(i, firmware[i]) for i in range(n)]
+        self._channels: list[Channel[tuple[int, Received]]] = [
+            Channel(s.faults[i] if s.faults else Faults(), generator(s.seed, i + 1, up=True)) for i in range(n)
         ]
+        self._faulty = [not c.faults.none for c in self._channels]
         self._sink = sink
         self._tick = 0
         self._inbox: list[list[tuple[int, Received]]] = [[] for _ in range(self.n)]
@@ -105,6 +143,8 @@ class Server:
         self._controller_port = list(range(self.n))
         self._answered = [-1] * self.n
         self._expected = [False] * self.n
+        self._awaits_controller = s.lockstep and s.await_controller and not s.loose
+        self._seen_us = -1
         self._ahead: tuple[tuple[Array, Array], list[Snapshot]] | None = None
         self._missed_answers = 0
         self._missed_deadlines = 0
@@ -133,19 +173,35 @@ class Server:
         """Release the sockets."""
         self.link.close()
 
+    def _vehicle(self, i: int, firmware: str) -> Autopilot:
+        s = self.settings
+        body = Body(float(s.system.m[i]), float(s.airframe.max_thrust[i]), s.system.g)
+        links = tuple(self._places[k].kind for k in self._ports[i])
+        ready = s.ready_us[i] if s.ready_us else None
+        persona = PERSONAS[firmware]
+        vehicle: Autopilot = (
+            persona(i + 1, s.tick_us, links, body) if ready is None else persona(i + 1, s.tick_us, links, body, ready)
+        )
+        for name, value in (s.parameters[i] if s.parameters else {}).items():
+            vehicle.parameters.preset(name, value)
+        return vehicle
+
     def _warm_up(self) -> None:
         """Build every message once, so that nothing is compiled while the clock runs."""
-        truth = self.plant.truth(0, *self.plant.kinematics())
-        own = self._snapshots(0, truth.x, truth.v)[0]
+        own = self._snapshots(0, *self.plant.kinematics())[0]
         for build in BUILD.values():
             build(own)
-        tracker.high_rate(truth, self.settings.system.n_links)
-        tracker.low_rate(truth, self.settings.system.n_links)
-        hold.hold(own, hold.anchor(own, 10.0))
+        self.vehicles[0].navigator.begin(own, 10.0)
+        self.vehicles[0].navigator.force(own)
+        self.vehicles[0].navigator.end()
+        if isinstance(self.plant, Plant):
+            truth = self.plant.truth(0, *self.plant.kinematics())
+            tracker.high_rate(truth, self.settings.system.n_links)
+            tracker.low_rate(truth, self.settings.system.n_links)
 
     def _snapshots(self, now: int, x: Array, v: Array) -> list[Snapshot]:
         """What every vehicle knows of itself, before its flight controller and its accelerometer add to it."""
-        R, Omega = self.plant.state.R, self.plant.state.Omega
+        R, Omega = self.plant.attitudes
         none = np.zeros(3)
         return [
             Snapshot(
@@ -159,22 +215,28 @@ class Server:
         for i, vehicle in enumerate(self.vehicles):
             self._deliver(i, vehicle, now)
             vehicle.tick(now)
-        if self._release_or_reset(now) or self._ahead is None:
+        if self._settle(now) or self._ahead is None:
             self._look_ahead(now)
         assert self._ahead is not None
         (x, v), own = self._ahead
         self.plant.command([vehicle.actuation(own[i]) for i, vehicle in enumerate(self.vehicles)])
-        truth = self.plant.truth(now, x, v)
-        force = self.plant.specific_force(truth) if any(v.will_tell(HIGHRES_IMU, now) for v in self.vehicles) else None
+        truth = self.plant.truth(now, x, v) if isinstance(self.plant, Plant) else None
+        force: Array | None = None
+        if any(v.will_tell(HIGHRES_IMU, now) for v in self.vehicles):
+            if isinstance(self.plant, LoosePlant):
+                force = self.plant.specific_force()
+            elif truth is not None:
+                force = self.plant.specific_force(truth)
         for i, vehicle in enumerate(self.vehicles):
             felt = own[i] if force is None else own[i]._replace(specific_force=force[i])
             self._speak(i, vehicle, vehicle.snapshot(felt))
-        self._track(truth)
+        if truth is not None:
+            self._track(truth)
         self.link.flush()  # the controller thinks while the physics goes on
-        self._sink(truth)
+        if truth is not None:
+            self._sink(truth)
         self.plant.advance(s.tick_us // s.physics_us)
         self._look_ahead(now + s.tick_us)
-        assert self._ahead is not None
         for i, vehicle in enumerate(self.vehicles):
             vehicle.prepare(self._ahead[1][i], self._audible(i))
 
@@ -183,39 +245,48 @@ class Server:
         x, v = self.plant.kinematics()
         self._ahead = (x, v), self._snapshots(now, x, v)
 
-    def _deliver(self, i: int, vehicle: Px4, now: int) -> None:
+    def _deliver(self, i: int, vehicle: Autopilot, now: int) -> None:
         waiting = []
         for due, frame in self._inbox[i]:
-            if due <= now:
-                link = ONBOARD if frame.port < self.n else GCS if frame.port < 2 * self.n else LISTEN
-                vehicle.handle(link, frame.system, frame.component, frame.value, now)
-            else:
+            if due > now:
                 waiting.append((due, frame))
+            elif self._faulty[i]:
+                self._channels[i].put((frame.port, frame), len(frame.frame), now)
+            else:
+                self._hand(i, vehicle, frame, now)
         self._inbox[i] = waiting
+        if self._faulty[i]:
+            for _, frame in self._channels[i].take(now):
+                self._hand(i, vehicle, frame, now)
 
-    def _release_or_reset(self, now: int) -> bool:
-        """Whether the motion was changed by hand."""
-        if self.plant.held:
-            if all(v.armed and v.mode is Mode.OFFBOARD and v.fresh_setpoint(now) for v in self.vehicles):
-                self.plant.held = False
+    def _hand(self, i: int, vehicle: Autopilot, frame: Received, now: int) -> None:
+        vehicle.handle(self._ports[i].index(frame.port), frame.system, frame.component, frame.value, now)
+
+    def _settle(self, now: int) -> bool:
+        """Release, land, go back to the start. Whether the motion was changed by hand."""
+        plant = self.plant
+        if plant.held:
+            if all(v.carries(now) for v in self.vehicles):
+                plant.held = False
                 self._sink(Event(now, "release", "all", "every vehicle is armed and under command: released"))
-                for vehicle in self.vehicles:
-                    vehicle.set_landed(IN_AIR)
-        elif not any(v.armed for v in self.vehicles):
-            self.plant.reset()
+                for channel in self._channels:
+                    channel.released_us = now
+        elif isinstance(plant, Plant) and not any(v.armed for v in self.vehicles):
+            plant.reset()
             self._sink(Event(now, "reset", "all", "every vehicle is disarmed: back to the initial state, held"))
             for vehicle in self.vehicles:
-                vehicle.set_landed(ON_GROUND)
                 vehicle.forget_prepared()
+                vehicle.set_landed(ON_GROUND)
             return True
+        for vehicle, stands in zip(self.vehicles, plant.standing().tolist(), strict=True):
+            vehicle.set_landed(ON_GROUND if stands else IN_AIR)
         return False
 
-    def _speak(self, i: int, vehicle: Px4, snapshot: Snapshot) -> None:
-        ports = (i, self.n + i, 2 * self.n)
+    def _speak(self, i: int, vehicle: Autopilot, snapshot: Snapshot) -> None:
         audible = self._audible(i)
         self._expected[i] = False
         for out in vehicle.outgoing(snapshot, audible):
-            for link, port in enumerate(ports):
+            for link, port in enumerate(self._ports[i]):
                 if out.link in (None, link) and audible[link]:
                     self.link.send(port, vehicle.system_id, 1, out.message)
                     if out.message.msgid == ATTITUDE_QUATERNION and port == self._controller_port[i]:
@@ -223,24 +294,26 @@ class Server:
 
     def _audible(self, i: int) -> tuple[bool, ...]:
         """On which of vehicle i's links somebody may listen."""
-        return tuple(bool(self.link.ports[p].addresses()) for p in (i, self.n + i, 2 * self.n))
+        return tuple(bool(self.link.ports[p].addresses()) for p in self._ports[i])
 
     def _track(self, truth: Truth) -> None:
         n_links = self.settings.system.n_links
-        ground = 2 * self.n + 2
+        to_controller, to_ground = len(self._places), len(self._places) + 1
         for message in tracker.low_rate(truth, n_links):
-            self.link.send(ground, tracker.SYSTEM, tracker.COMPONENT, message)
-            self.link.send(ground - 1, tracker.SYSTEM, tracker.COMPONENT, message)
+            self.link.send(to_ground, tracker.SYSTEM, tracker.COMPONENT, message)
+            self.link.send(to_controller, tracker.SYSTEM, tracker.COMPONENT, message)
         if truth.boot_us % self.settings.control_us == 0:
             for message in tracker.high_rate(truth, n_links):
-                self.link.send(ground - 1, tracker.SYSTEM, tracker.COMPONENT, message)
+                self.link.send(to_controller, tracker.SYSTEM, tracker.COMPONENT, message)
 
     def _receive(self, timeout: float, closing: int | None = None) -> None:
         now = self.now_us
         for frame in self.link.poll(timeout, closing):
             value = frame.value
-            if value is None or frame.port > 2 * self.n:
-                if isinstance(value, Timesync) and value.tc1 == 0:
+            if value is None or frame.port >= len(self._places):
+                if isinstance(value, Timesync) and value.tc1 == now * 1000 and frame.system == CONTROLLER[0]:
+                    self._seen_us = now  # the controller has seen this tick and has nothing more to say to it
+                elif isinstance(value, Timesync) and value.tc1 == 0:
                     answer = encode(Timesync(now * 1000, value.ts1))
                     self.link.send(frame.port, tracker.SYSTEM, tracker.COMPONENT, answer, frame.address)
                 continue
@@ -250,8 +323,8 @@ class Server:
                 if 0 < stamp_us <= now:
                     due = max(due, stamp_us + self.settings.delay_us)
                     self._answer(frame, value, now)
-            here = range(self.n) if frame.port == 2 * self.n else (frame.port % self.n,)
-            for i in here:
+            place = self._places[frame.port].vehicle
+            for i in range(self.n) if place is None else (place,):
                 self._inbox[i].append((due, frame))
 
     def _answer(self, frame: Received, value: AttitudeTarget, now: int) -> None:
@@ -261,6 +334,7 @@ class Server:
             self._controller_port[i] = frame.port
             if self.settings.lockstep and value.boot_ms * 1000 == now:
                 self._engaged[i] = True
+                self._awaits_controller = not self.settings.loose
 
     def _wait(self, stop: Callable[[], bool]) -> None:
         """Until every engaged vehicle that spoke has its answer; where nobody is engaged, until the wall clock says."""
@@ -274,11 +348,15 @@ class Server:
         now_ms = self.now_us // 1000
         deadline = self.link.now() + self.settings.answer_timeout_s
         closing: int | None = max(self._controller_port)  # the controller answers vehicle by vehicle
+        if self.now_us % self.settings.control_us != 0:
+            self._receive(0.0)
+            return
         while not stop():
             missing = [
                 i for i in range(self.n) if self._engaged[i] and self._expected[i] and self._answered[i] != now_ms
             ]
-            if not missing:
+            awaited = bool(missing) or (self._awaits_controller and not any(self._expected))
+            if not awaited or self._seen_us == self.now_us:
                 self._receive(0.0)
                 return
             left = deadline - self.link.now()
@@ -286,7 +364,8 @@ class Server:
                 self._missed_answers += len(missing)
                 for i in missing:
                     self._engaged[i] = False
-                names = ", ".join(str(i + 1) for i in missing)
+                self._awaits_controller = False
+                names = ", ".join(str(i + 1) for i in missing) or "any"
                 self._sink(
                     Event(self.now_us, "answer-missing", names, f"no setpoint for this tick from vehicle {names}")
                 )

@@ -14,8 +14,14 @@ from bridge.wire.values import (
     CableShape,
     Command,
     CommandAck,
+    DataStream,
+    FileRefusal,
+    FileRequest,
     Heartbeat,
+    Imu,
     LandedState,
+    MissionAck,
+    MissionClear,
     MissionCount,
     MissionRequestList,
     ParamRequestList,
@@ -251,19 +257,71 @@ def _read_landed(m: Message) -> LandedState:
 
 
 def _mission_list(v: MissionRequestList) -> Message:
-    return mavlink.MAVLink_mission_request_list_message(v.system, v.component)
+    return mavlink.MAVLink_mission_request_list_message(v.system, v.component, v.type)
 
 
 def _read_mission_list(m: Message) -> MissionRequestList:
-    return MissionRequestList(m.target_system, m.target_component)
+    return MissionRequestList(m.target_system, m.target_component, m.mission_type)
 
 
 def _mission_count(v: MissionCount) -> Message:
-    return mavlink.MAVLink_mission_count_message(v.system, v.component, v.total)
+    return mavlink.MAVLink_mission_count_message(v.system, v.component, v.total, v.type)
 
 
 def _read_mission_count(m: Message) -> MissionCount:
-    return MissionCount(m.target_system, m.target_component, m.count)
+    return MissionCount(m.target_system, m.target_component, m.count, m.mission_type)
+
+
+def _mission_clear(v: MissionClear) -> Message:
+    return mavlink.MAVLink_mission_clear_all_message(v.system, v.component, v.type)
+
+
+def _read_mission_clear(m: Message) -> MissionClear:
+    return MissionClear(m.target_system, m.target_component, m.mission_type)
+
+
+def _mission_ack(v: MissionAck) -> Message:
+    return mavlink.MAVLink_mission_ack_message(v.system, v.component, v.result, v.type)
+
+
+def _read_mission_ack(m: Message) -> MissionAck:
+    return MissionAck(m.target_system, m.target_component, m.type, m.mission_type)
+
+
+def _read_command_int(m: Message) -> Command:
+    place = (m.x * 1e-7, m.y * 1e-7) if m.frame in _GLOBAL_FRAMES else (m.x * 1e-4, m.y * 1e-4)
+    return Command(
+        m.target_system, m.target_component, m.command, (m.param1, m.param2, m.param3, m.param4, *place, m.z)
+    )
+
+
+_GLOBAL_FRAMES = frozenset({0, 3, 5, 6, 10, 11})  # MAV_FRAME_GLOBAL and its kin
+_NAK, _FTP_BYTES = 129, 251
+
+
+def _file_refusal(v: FileRefusal) -> Message:
+    head = struct.pack("<HBBBBBBI", v.seq & 0xFFFF, v.session, _NAK, 1, v.refused_opcode, 0, 0, 0)
+    payload = [*head, v.error]
+    return mavlink.MAVLink_file_transfer_protocol_message(
+        0, v.system, v.component, payload + [0] * (_FTP_BYTES - len(payload))
+    )
+
+
+def _read_file(m: Message) -> FileRequest:
+    seq, session, opcode = struct.unpack("<HBB", bytes(m.payload[:4]))
+    return FileRequest(m.target_system, m.target_component, seq, session, opcode)
+
+
+def _data_stream(v: DataStream) -> Message:
+    return mavlink.MAVLink_request_data_stream_message(v.system, v.component, v.stream, v.rate_hz, int(v.start))
+
+
+def _read_data_stream(m: Message) -> DataStream:
+    return DataStream(m.target_system, m.target_component, m.req_stream_id, m.req_message_rate, bool(m.start_stop))
+
+
+def _read_imu(m: Message) -> Imu:
+    return Imu(m.time_usec, np.array((m.xacc, m.yacc, m.zacc)))
 
 
 def _version(v: ServerVersion) -> Message:
@@ -304,8 +362,22 @@ _HOT: list[tuple[type, type, Callable[[Any], Packed], Callable[[Fields], Any]]] 
 ]  # many times a tick: straight between values and bytes; the others go through pymavlink's objects
 _ENCODE_HOT = {value: write for value, _, write, _ in _HOT}
 _DECODE_HOT: dict[int, tuple[Any, Callable[[Fields], Any]]] = {kind.id: (kind, read) for _, kind, _, read in _HOT}  # type: ignore[attr-defined]
-_ENCODE = {kind: write for kind, _, write, _ in _PAIRS}
-_DECODE = {number: read for _, number, _, read in _PAIRS}
+_ENCODE: dict[type, Callable[[Any], Message]] = {kind: write for kind, _, write, _ in _PAIRS}
+_ENCODE |= {
+    MissionAck: _mission_ack,
+    MissionClear: _mission_clear,
+    FileRefusal: _file_refusal,
+    DataStream: _data_stream,
+}
+_DECODE: dict[int, Callable[[Message], Any]] = {number: read for _, number, _, read in _PAIRS}
+_DECODE |= {
+    mavlink.MAVLINK_MSG_ID_COMMAND_INT: _read_command_int,
+    mavlink.MAVLINK_MSG_ID_MISSION_ACK: _read_mission_ack,
+    mavlink.MAVLINK_MSG_ID_MISSION_CLEAR_ALL: _read_mission_clear,
+    mavlink.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL: _read_file,
+    mavlink.MAVLINK_MSG_ID_REQUEST_DATA_STREAM: _read_data_stream,
+    mavlink.MAVLINK_MSG_ID_HIGHRES_IMU: _read_imu,
+}  # one direction only, or not the same value in both
 READABLE = frozenset(_DECODE) | frozenset(_DECODE_HOT)
 _codec = mavlink.MAVLink(None)
 

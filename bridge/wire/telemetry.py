@@ -18,11 +18,15 @@ _NO_FIELD = 65535
 
 
 class Home(NamedTuple):
-    """Where local (0, 0, 0) lies."""
+    """Where local (0, 0, 0) lies, and when the vehicles' clock began."""
 
     latitude_deg: float = 47.397742
     longitude_deg: float = 8.545594
     altitude_m: float = 488.0
+    epoch_s: int = 1_700_000_000
+
+
+ORIGIN = np.zeros(3)
 
 
 class Snapshot(NamedTuple):
@@ -39,6 +43,7 @@ class Snapshot(NamedTuple):
     landed: int
     offboard_target: tuple[Array, Array, float]  # commanded R_c (3, 3), rates (3,) rad/s, thrust 0..1
     home: Home
+    home_x: Array = ORIGIN  # (3,) m, W: where it was armed, and returns to
 
     @property
     def boot_ms(self) -> int:
@@ -52,11 +57,16 @@ def euler(R: Array) -> tuple[float, float, float]:
     return math.atan2(R[2, 1], R[2, 2]), pitch, math.atan2(R[1, 0], R[0, 0])
 
 
-def _geodetic(s: Snapshot) -> tuple[int, int, int]:
-    """Latitude and longitude in 1e-7 deg, altitude in mm, on a sphere around home."""
-    lat = s.home.latitude_deg + math.degrees(s.x[0] / EARTH_RADIUS)
-    lon = s.home.longitude_deg + math.degrees(s.x[1] / (EARTH_RADIUS * math.cos(math.radians(s.home.latitude_deg))))
-    return round(lat * 1e7), round(lon * 1e7), round((s.home.altitude_m - s.x[2]) * 1e3)
+def _geodetic(s: Snapshot, x: Array) -> tuple[int, int, int]:
+    """Latitude and longitude in 1e-7 deg, altitude in mm, of x (3,) m on a sphere around the origin."""
+    lat = s.home.latitude_deg + math.degrees(x[0] / EARTH_RADIUS)
+    lon = s.home.longitude_deg + math.degrees(x[1] / (EARTH_RADIUS * math.cos(math.radians(s.home.latitude_deg))))
+    return round(lat * 1e7), round(lon * 1e7), round((s.home.altitude_m - x[2]) * 1e3)
+
+
+def _height(s: Snapshot) -> float:
+    """m above home."""
+    return float(s.home_x[2] - s.x[2])
 
 
 def _heading_cdeg(s: Snapshot) -> int:
@@ -76,11 +86,11 @@ def _local(s: Snapshot) -> Packed:
 
 
 def _global(s: Snapshot) -> Packed:
-    lat, lon, alt = _geodetic(s)
+    lat, lon, alt = _geodetic(s, s.x)
     cm_s = [max(-32768, min(32767, round(v * 100))) for v in s.v.tolist()]
     return pack(
         mavlink.MAVLink_global_position_int_message,
-        *(s.boot_ms, lat, lon, alt, round(-float(s.x[2]) * 1e3), *cm_s, _heading_cdeg(s)),
+        *(s.boot_ms, lat, lon, alt, round(_height(s) * 1e3), *cm_s, _heading_cdeg(s)),
     )
 
 
@@ -119,9 +129,9 @@ def _hud(s: Snapshot) -> Message:
 
 
 def _altitude(s: Snapshot) -> Message:
-    up = -float(s.x[2])
-    amsl = s.home.altitude_m + up
-    return mavlink.MAVLink_altitude_message(s.boot_us, amsl, amsl, up, up, math.nan, math.nan)
+    local = -float(s.x[2])
+    amsl = s.home.altitude_m + local
+    return mavlink.MAVLink_altitude_message(s.boot_us, amsl, amsl, local, _height(s), math.nan, math.nan)
 
 
 def _position_target(s: Snapshot) -> Message:
@@ -132,7 +142,7 @@ def _position_target(s: Snapshot) -> Message:
 
 
 def _gps(s: Snapshot) -> Message:
-    lat, lon, alt = _geodetic(s)
+    lat, lon, alt = _geodetic(s, s.x)
     speed = math.hypot(s.v[0], s.v[1])
     course = round(math.degrees(math.atan2(s.v[1], s.v[0])) * 100) % 36000 if speed > 0.1 else _NO_FIELD
     return mavlink.MAVLink_gps_raw_int_message(s.boot_us, 3, lat, lon, alt, 70, 110, round(speed * 100), course, 12)
@@ -161,7 +171,7 @@ def _landed(s: Snapshot) -> Packed:
 
 
 def _system_time(s: Snapshot) -> Message:
-    return mavlink.MAVLink_system_time_message(0, s.boot_ms)
+    return mavlink.MAVLink_system_time_message(s.home.epoch_s * 10**6 + s.boot_us, s.boot_ms)
 
 
 def _estimator(s: Snapshot) -> Message:
@@ -175,11 +185,9 @@ def _battery(s: Snapshot) -> Message:
 
 
 def _home(s: Snapshot) -> Message:
-    h = s.home
     return mavlink.MAVLink_home_position_message(
-        round(h.latitude_deg * 1e7), round(h.longitude_deg * 1e7), round(h.altitude_m * 1e3),
-        0.0, 0.0, 0.0, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0, s.boot_us,
-    )  # fmt: skip
+        *_geodetic(s, s.home_x), *s.home_x.tolist(), [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0, s.boot_us
+    )
 
 
 def _cold(build: Callable[[Snapshot], Message]) -> Callable[[Snapshot], Packed]:

@@ -71,7 +71,7 @@ class AttitudeTarget(NamedTuple):
 
 
 class Command(NamedTuple):
-    """COMMAND_LONG (#76)."""
+    """COMMAND_LONG (#76), or COMMAND_INT (#75) with its integer place as degrees."""
 
     system: int
     component: int
@@ -169,14 +169,71 @@ class MissionRequestList(NamedTuple):
 
     system: int
     component: int
+    type: int = 0
 
 
 class MissionCount(NamedTuple):
-    """MISSION_COUNT (#44)."""
+    """MISSION_COUNT (#44): the answer to a request of the list, or the offer of one."""
 
     system: int
     component: int
     total: int
+    type: int = 0
+
+
+class MissionClear(NamedTuple):
+    """MISSION_CLEAR_ALL (#45)."""
+
+    system: int
+    component: int
+    type: int = 0
+
+
+class MissionAck(NamedTuple):
+    """MISSION_ACK (#47)."""
+
+    system: int
+    component: int
+    result: int
+    type: int = 0
+
+
+class FileRequest(NamedTuple):
+    """FILE_TRANSFER_PROTOCOL (#110): what names a request."""
+
+    system: int
+    component: int
+    seq: int
+    session: int
+    opcode: int
+
+
+class FileRefusal(NamedTuple):
+    """FILE_TRANSFER_PROTOCOL (#110): NAK of a request."""
+
+    system: int
+    component: int
+    seq: int  # of the request, plus one
+    session: int
+    refused_opcode: int
+    error: int
+
+
+class DataStream(NamedTuple):
+    """REQUEST_DATA_STREAM (#66)."""
+
+    system: int
+    component: int
+    stream: int
+    rate_hz: int
+    start: bool
+
+
+class Imu(NamedTuple):
+    """HIGHRES_IMU (#105), as far as it is used."""
+
+    boot_us: int
+    specific_force: Array  # (3,) m/s^2, B
 
 
 class ServerVersion(NamedTuple):

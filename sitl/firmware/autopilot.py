@@ -1,0 +1,407 @@
+"""What both personas have in common: services, streams, texts. Messages in, messages out, on the vehicle's clock."""
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from enum import Enum
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from bridge.wire.dialect import mavlink
+from bridge.wire.frames import Packed, packed
+from bridge.wire.messages import encode, text_frames
+from bridge.wire.telemetry import BUILD, MOTION_ALONE, Snapshot
+from bridge.wire.values import (
+    IN_AIR,
+    ON_GROUND,
+    AttitudeTarget,
+    Command,
+    CommandAck,
+    DataStream,
+    FileRefusal,
+    FileRequest,
+    Heartbeat,
+    MissionAck,
+    MissionClear,
+    MissionCount,
+    MissionRequestList,
+    ParamRequestList,
+    ParamRequestRead,
+    ParamSet,
+    Ping,
+    ServerVersion,
+    SetMode,
+    StatusText,
+    Timesync,
+)
+from cablequad.types import Array
+from sitl.firmware.navigate import FAR_M, Goal, Navigator, attitude
+from sitl.firmware.parameters import Parameters
+from sitl.firmware.streams import Streams
+from sitl.firmware.transitions import ACCEPTED, CRITICAL, INFO, Row
+
+M = mavlink
+ATTITUDE_QUATERNION = M.MAVLINK_MSG_ID_ATTITUDE_QUATERNION
+HIGHRES_IMU = M.MAVLINK_MSG_ID_HIGHRES_IMU
+EXTENDED_SYS_STATE = M.MAVLINK_MSG_ID_EXTENDED_SYS_STATE
+HEARTBEAT_US = 1_000_000
+PARAMS_PER_TICK = 4
+MISSION_UNSUPPORTED = 3
+FTP_FILE_NOT_FOUND = 10
+GROUND_STATION = M.MAV_TYPE_GCS
+SINK_M_S = 0.3  # a PX4 in position mode without a radio
+NO_RATE = np.zeros(3)
+
+
+class LinkKind(Enum):
+    """What a link is for; personas stream accordingly."""
+
+    ONBOARD = 0
+    GROUND = 1
+
+
+class Body(NamedTuple):
+    """What an autopilot was set up with for its airframe."""
+
+    mass_kg: float
+    max_thrust_N: float
+    g: float
+
+
+class Actuation(NamedTuple):
+    """What the flight controller asks of its attitude loop and rotors."""
+
+    R_c: Array  # (3, 3)
+    Omega_c: Array  # (3,) rad/s: feed-forward, or body rates where rate_only
+    throttle: float  # 0..1 motor command; the rotors give max_thrust throttle^2
+    rate_only: bool
+
+
+class Outgoing(NamedTuple):
+    """A message for one of the vehicle's links; None means all of them."""
+
+    link: int | None
+    message: Packed
+
+
+class Autopilot(ABC):
+    """One vehicle's flight controller."""
+
+    autopilot: ClassVar[int]  # MAV_AUTOPILOT
+    capabilities: ClassVar[int]
+    version: ClassVar[tuple[int, int, int]]
+
+    def __init__(
+        self,
+        system_id: int,
+        tick_us: int,
+        links: tuple[LinkKind, ...],
+        body: Body,
+        parameters: Parameters,
+        default_hz: Mapping[LinkKind, Mapping[int, float]],
+        ready_us: int,
+    ) -> None:
+        """`ready_us`: when the estimator has a position, on the vehicle's clock."""
+        self.system_id = system_id
+        self.links = links
+        self.body = body
+        self.parameters = parameters
+        self.streams = [Streams(default_hz[kind], tick_us) for kind in links]
+        self.navigator = Navigator(body.mass_kg, body.g, tick_us)
+        self.armed = False
+        self.landed = ON_GROUND
+        self.failsafe = False
+        self._ready_us = ready_us
+        self._now_us = 0
+        self._target: AttitudeTarget | None = None
+        self._target_at_us = -(10**12)
+        self._armed_at_us = 0
+        self._landed_at_us = 0
+        self._ground_heard_us: int | None = None
+        self._home = np.zeros(3)
+        self._at = np.zeros(3)
+        self._next_heartbeat_us = 0
+        self._outbox: list[Outgoing] = []
+        self._asked_for: list[tuple[int | None, int]] = []  # (link, message id) to build from the tick's snapshot
+        self._param_queue: list[tuple[int, int]] = []
+        self._prepared: dict[int, Packed] = {}
+        self._warned = ""
+        self._texts_said = 0
+        self._throttle = 0.0
+        self._commanded: tuple[Array, Array, float] = (np.eye(3), np.zeros(3), 0.0)
+
+    # -- what a persona decides ----------------------------------------------------------------------------------------
+
+    @property
+    @abstractmethod
+    def mode_name(self) -> str:
+        """The mode in words."""
+
+    @abstractmethod
+    def fresh_setpoint(self, now_us: int) -> bool:
+        """Whether an attitude setpoint is in force."""
+
+    @abstractmethod
+    def carries(self, now_us: int) -> bool:
+        """Whether the vehicle can be let go: armed, motors up to speed and told to fly."""
+
+    @abstractmethod
+    def tick(self, now_us: int) -> None:
+        """Let time pass: failsafes, time-outs, idle disarming."""
+
+    @abstractmethod
+    def actuation(self, s: Snapshot) -> Actuation:
+        """Attitude and motor command for the time until the next tick."""
+
+    @abstractmethod
+    def _setpoint(self, value: AttitudeTarget, now_us: int) -> None:
+        """Take SET_ATTITUDE_TARGET."""
+
+    @abstractmethod
+    def _addressed(self, c: Command) -> bool:
+        """Whether a command is for this vehicle."""
+
+    @abstractmethod
+    def _command(self, link: int, c: Command, now_us: int) -> list[int]:
+        """Obey; the results to acknowledge, in their order."""
+
+    @abstractmethod
+    def _set_mode(self, value: SetMode, now_us: int) -> int | None:
+        """Take SET_MODE; the result to acknowledge, None for silence."""
+
+    @abstractmethod
+    def _heartbeat(self, now_us: int) -> Heartbeat:
+        """What HEARTBEAT says now."""
+
+    # -- what comes in -------------------------------------------------------------------------------------------------
+
+    def handle(self, link: int, system: int, component: int, value: Any, now_us: int) -> None:
+        """Take one message that (system, component) sent on `link`."""
+        match value:
+            case AttitudeTarget():
+                if value.system == self.system_id:  # never system 0: n vehicles would all obey
+                    self._setpoint(value, now_us)
+            case Command():
+                if self._addressed(value):
+                    for result in self._command(link, value, now_us):
+                        self._reply(link, CommandAck(value.command, result, system, component))
+            case SetMode():
+                if value.system == self.system_id:
+                    answer = self._set_mode(value, now_us)
+                    if answer is not None:
+                        self._reply(link, CommandAck(M.MAV_CMD_DO_SET_MODE, answer, system, component))
+            case Heartbeat():
+                if value.type == GROUND_STATION:
+                    self._ground_heard(system, now_us)
+            case Timesync():
+                if value.tc1 == 0:
+                    self._reply(link, Timesync(now_us * 1000, value.ts1))
+            case Ping():
+                if (value.system, value.component) == (0, 0):
+                    self._reply(link, Ping(value.time_us, value.seq, system, component))
+            case None:
+                pass
+            case _:
+                if self._mine(value):
+                    self._service(link, system, component, value)
+
+    def _mine(self, value: Any) -> bool:
+        return (value.system, value.component) in ((s, c) for s in (0, self.system_id) for c in (0, 1))
+
+    def _service(self, link: int, system: int, component: int, value: Any) -> None:
+        match value:
+            case ParamRequestRead():
+                if answer := self.parameters.read(value):
+                    self._reply(link, answer)
+            case ParamRequestList():
+                self._param_queue = [entry for entry in self._param_queue if entry[0] != link]
+                self._param_queue += [(link, index) for index in range(len(self.parameters))]
+            case ParamSet():
+                if answer := self.parameters.write(value):
+                    self._reply(link, answer)
+            case MissionRequestList():
+                self._reply(link, MissionCount(system, component, 0, value.type))
+            case MissionCount():
+                self._reply(link, MissionAck(system, component, MISSION_UNSUPPORTED, value.type))
+            case MissionClear():
+                self._reply(link, MissionAck(system, component, 0, value.type))
+            case FileRequest():
+                refusal = FileRefusal(system, component, value.seq + 1, value.session, value.opcode, FTP_FILE_NOT_FOUND)
+                self._reply(link, refusal)
+            case DataStream():
+                self._data_stream(link, value)
+            case _:
+                pass
+
+    def _data_stream(self, link: int, value: DataStream) -> None:
+        """REQUEST_DATA_STREAM, where a persona obeys it."""
+        del link, value
+
+    def _ground_heard(self, system: int, now_us: int) -> None:
+        del system
+        self._ground_heard_us = now_us
+
+    def _ask(self, link: int, msgid: int) -> None:
+        """Have a message built from this tick's snapshot."""
+        self._asked_for.append((link, msgid))
+
+    def _version(self, link: int) -> None:
+        self._reply(link, ServerVersion(self.capabilities, self.version, self.system_id))
+
+    def _tell_interval(self, link: int, msgid: int) -> None:
+        message = M.MAVLink_message_interval_message(msgid, self.streams[link].interval_us(msgid))
+        self._outbox.append(Outgoing(link, packed(message)))
+
+    # -- what goes out -------------------------------------------------------------------------------------------------
+
+    def set_landed(self, landed: int) -> None:
+        """What the land detector says; a change is sent at once on every link that streams it."""
+        if landed != self.landed:
+            self.landed, self._landed_at_us = landed, self._now_us
+            self._land_detected()
+            for link, streams in enumerate(self.streams):
+                if streams.interval_us(EXTENDED_SYS_STATE) > 0:
+                    self._asked_for.append((link, EXTENDED_SYS_STATE))
+
+    def _land_detected(self) -> None:
+        """What a persona says of it."""
+        return
+
+    def snapshot(self, s: Snapshot) -> Snapshot:
+        """`s` with what only the flight controller knows."""
+        return s._replace(
+            throttle=self._throttle,
+            armed=self.armed,
+            landed=self.landed,
+            offboard_target=self._commanded,
+            home_x=self._home,
+        )
+
+    def will_tell(self, msgid: int, now_us: int) -> bool:
+        """Whether a message of this kind goes out at this tick, as things stand."""
+        return any(streams.is_due(msgid, now_us) for streams in self.streams) or any(
+            asked == msgid for _, asked in self._asked_for
+        )
+
+    def prepare(self, s: Snapshot, audible: tuple[bool, ...]) -> None:
+        """Build ahead what the next tick will stream and no answer can change any more."""
+        s = s._replace(home_x=self._home)
+        for link, streams in enumerate(self.streams):
+            if audible[link]:
+                for msgid in streams.coming(s.boot_us):
+                    if msgid in MOTION_ALONE and msgid not in self._prepared:
+                        self._prepared[msgid] = BUILD[msgid](s)
+
+    def forget_prepared(self) -> None:
+        """The motion turned out otherwise."""
+        self._prepared = {}
+
+    def outgoing(self, s: Snapshot, audible: tuple[bool, ...]) -> list[Outgoing]:
+        """Everything to send at this tick; the attitude quaternion comes last, so that it closes the tick.
+
+        Links that are not `audible` (nobody there yet) get no streams.
+        """
+        now_us = s.boot_us
+        out = self._outbox + [Outgoing(link, BUILD[msgid](s)) for link, msgid in self._asked_for]
+        self._outbox, self._asked_for = [], []
+        if now_us >= self._next_heartbeat_us:
+            self._next_heartbeat_us += HEARTBEAT_US * (1 + (now_us - self._next_heartbeat_us) // HEARTBEAT_US)
+            out.append(Outgoing(None, encode(self._heartbeat(now_us))))
+        if self._param_queue:
+            for link, index in self._param_queue[:PARAMS_PER_TICK]:
+                out.append(Outgoing(link, encode(self.parameters.report(index))))
+            del self._param_queue[:PARAMS_PER_TICK]
+        built, self._prepared = self._prepared, {}
+        last: list[Outgoing] = []
+        for link, streams in enumerate(self.streams):
+            if not audible[link]:
+                continue
+            for msgid in streams.due(now_us):
+                if msgid == M.MAVLINK_MSG_ID_TIMESYNC:
+                    out.append(Outgoing(link, encode(self._timesync(now_us))))
+                    continue
+                if msgid not in built:
+                    built[msgid] = BUILD[msgid](s)
+                (last if msgid == ATTITUDE_QUATERNION else out).append(Outgoing(link, built[msgid]))
+        return out + last
+
+    def _timesync(self, now_us: int) -> Timesync:
+        """The question this vehicle asks of others."""
+        return Timesync(0, now_us * 1000)
+
+    def _reply(self, link: int, value: Any) -> None:
+        self._outbox.append(Outgoing(link, encode(value)))
+
+    def _say(self, row: Row[Any]) -> None:
+        if row.text:
+            self._text(row.severity, row.text)
+
+    def _text(self, severity: int, text: str) -> None:
+        self._texts_said = self._texts_said % 65535 + 1
+        for part in text_frames(StatusText(severity, text), self._texts_said):
+            self._outbox.append(Outgoing(None, encode(part)))
+
+    def _warn(self, text: str) -> None:
+        """Say something dangerous once."""
+        if text != self._warned:
+            self._warned = text
+            self._text(CRITICAL, text)
+
+    # -- what it does by itself ----------------------------------------------------------------------------------------
+
+    def _set_armed(self, arm: bool, now_us: int) -> None:
+        if arm != self.armed:
+            self.armed, self._armed_at_us, self._warned = arm, now_us, ""
+            self.navigator.end()
+            if arm:
+                self._home = self._at.copy()
+
+    def _disarm_by_itself(self, text: str) -> None:
+        self._set_armed(False, self._now_us)
+        self._text(INFO, text)
+
+    def _act(self, act: Actuation, shown_thrust: float) -> Actuation:
+        """Remember what ATTITUDE_TARGET and the servo outputs will show."""
+        self._throttle = act.throttle
+        self._commanded = (act.R_c, act.Omega_c, shown_thrust)
+        return act
+
+    def _thrust_now_N(self) -> float:
+        return self.body.max_thrust_N * self._throttle**2
+
+    def _motor_command_of(self, thrust_N: float) -> float:
+        return math.sqrt(min(max(thrust_N / self.body.max_thrust_N, 0.0), 1.0))
+
+    def _go(self, s: Snapshot, goal: Goal | None) -> Actuation:
+        """Fly to `goal` by the vehicle's own position loop, or stay where it began."""
+        if not self.navigator.active:
+            self.navigator.begin(s, 0.0 if self.landed == ON_GROUND else self._thrust_now_N())
+        if goal is not None:
+            self.navigator.goal = goal
+        force = self.navigator.force(s)
+        thrust_N = float(np.linalg.norm(force))
+        return Actuation(attitude(s, force), NO_RATE, self._motor_command_of(thrust_N), False)
+
+    def _down(self, speed: float) -> Goal:
+        """Straight down until something stops it."""
+        here = self.navigator.goal.x if self.navigator.active else self._at
+        return Goal(np.array([here[0], here[1], FAR_M]), speed)
+
+    def _homewards(self, s: Snapshot, altitude_m: float, speed: float, land_speed: float) -> Goal:
+        """Return: up to the altitude where it is lower, over to home, down."""
+        over = math.hypot(s.x[0] - self._home[0], s.x[1] - self._home[1])
+        if over < 0.5:
+            return Goal(np.array([self._home[0], self._home[1], FAR_M]), land_speed)
+        height = min(float(s.x[2]), float(self._home[2]) - altitude_m)
+        if self.navigator.active and self.navigator.goal.x[2] < FAR_M:
+            height = min(height, float(self.navigator.goal.x[2])) if over > 0.5 else height
+        if float(s.x[2]) > height + 0.5:
+            return Goal(np.array([s.x[0], s.x[1], height]), speed)
+        return Goal(np.array([self._home[0], self._home[1], height]), speed)
+
+    def _note(self, s: Snapshot) -> None:
+        self._at = s.x
+
+
+__all__ = ["ACCEPTED", "IN_AIR", "ON_GROUND", "Actuation", "Autopilot", "Body", "LinkKind", "Outgoing"]
