@@ -75,7 +75,7 @@ class _Flight:
     ) -> None:
         self.link, self.fleet, self.plan, self.design, self.record = link, fleet, plan, design, record
         self.loop = loop
-        self.gate = Gate([*range(1, fleet.n + 1), TRACKER], loop.period_ms)
+        self.gate = Gate(fleet.n, TRACKER, loop.period_ms)
         self.observer = Observer(loop)
         self.channels = channels
         self.memory: Memory = first_memory(design)
@@ -120,20 +120,21 @@ class _Flight:
             self.now_us = boot_ms * 1000
             self._process()
             instant = self.observer.estimate(boot_ms)
-            if instant is not None:
+            if instant is None:
+                tracked = max(tracked or 0, self.now_us)
+            else:
                 sample = self._answer(instant, arrived)
-                tracked = None
+                tracked = None if tracked == self.now_us else tracked
             boot_ms = self.gate.open()
-        if tracked is None and (sample is not None or arrived - self.pending_since < PROCESS_ANYWAY_S):
+        stale = bool(self.pending) and arrived - self.pending_since >= PROCESS_ANYWAY_S
+        if tracked is None and (sample is not None or not stale):
             return sample
-        if not self.pending and tracked is None:
-            return None
         self.now_us = max(self.now_us, tracked or 0)
         self._process()
         self._send(self.fleet.due(self.now_us * 1e-6))
         if tracked is not None:  # a simulator that waits for us may go on: nothing more will be said to this tick
             self._send([Request(TRACKER, Timesync(tracked * 1000, tracked * 1000))])
-        return None
+        return sample
 
     def _route(self, frame: Received) -> None:
         known = self.routes.setdefault(frame.system, (frame.port, frame.address))

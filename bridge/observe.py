@@ -64,16 +64,17 @@ class _Parts:
 class Gate:
     """Says when a tick has come: every source that lives has spoken of it, or has let a later one begin."""
 
-    def __init__(self, sources: list[int], period_ms: int) -> None:
-        self._newest = dict.fromkeys(sources, -1)
+    def __init__(self, vehicles: int, tracker: int, period_ms: int) -> None:
+        self._newest = dict.fromkeys([*range(1, vehicles + 1), tracker], -1)
+        self._tracker = tracker
         self._period_ms = period_ms
         self._told_ms = -1
 
     def feed(self, source: int, value: object) -> None:
         """Take a value that closes what `source` says of a tick."""
-        if isinstance(value, VehicleAttitude):
+        if isinstance(value, VehicleAttitude) and source != self._tracker:
             stamp = value.boot_ms
-        elif isinstance(value, PayloadState):
+        elif isinstance(value, PayloadState) and source == self._tracker:
             stamp = value.boot_us // 1000
         else:
             return
@@ -144,7 +145,7 @@ class Observer:
         if state is not None:
             age = 0
             self._known[boot_ms] = (state, boot_ms)
-        elif not self._begun:
+        elif not self._begun and not self._begin():
             return None
         else:
             state, rests_on = self._carried(boot_ms)
@@ -210,6 +211,15 @@ class Observer:
         parts.cable_links[i] += k
         parts.links_missing -= k
         parts.tension[i] = c.tension_N
+
+    def _begin(self) -> bool:
+        """Whether some instant is known whole, from which the model can lead on."""
+        for stamp in sorted(self._parts, reverse=True):
+            state = self._measured(self._parts[stamp])
+            if state is not None:
+                self._known[stamp] = (state, stamp)
+                return True
+        return False
 
     def _measured(self, parts: _Parts) -> State | None:
         """The state where everything was measured."""

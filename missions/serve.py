@@ -1,6 +1,7 @@
 """`cablequad sitl`: the vehicles alone, until they are told to stop."""
 
 import signal
+import sys
 import threading
 from types import FrameType
 
@@ -19,7 +20,7 @@ def serve(flight: Flight, serving: Serving) -> None:
     Raises LinkError for an address that is taken, ValueError for a parameter that a vehicle does not have, PhysicsError
     if motion diverges.
     """
-    console = Console(highlight=False)
+    console = Console(highlight=False, width=None if sys.stdout.isatty() else 120)
     stopped = threading.Event()
 
     def stop(_: int, __: FrameType | None) -> None:

@@ -6,7 +6,7 @@ import os
 import signal
 import subprocess
 import sys
-import time
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import ClassVar
@@ -129,14 +129,15 @@ def flown(*arguments: str) -> dict:
     return summary
 
 
-def wait_for_line(command: Command, text: str, timeout: float = 120) -> None:
+def wait_for_line(command: Command, text: str, timeout: float = 60) -> None:
     """Read stdout until a line holds `text`."""
     assert command.process.stdout is not None
-    until = time.monotonic() + timeout
-    while time.monotonic() < until:
-        line = command.process.stdout.readline()
-        if text in line:
-            return
-        if not line and command.process.poll() is not None:
-            break
+    late = threading.Timer(timeout, command.process.kill)  # ends the reading below
+    late.start()
+    try:
+        for line in iter(command.process.stdout.readline, ""):
+            if text in line:
+                return
+    finally:
+        late.cancel()
     raise AssertionError(f"no line with {text!r}; exit code {command.process.poll()}")

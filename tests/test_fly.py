@@ -159,19 +159,17 @@ threading.Thread(target=stream, daemon=True).start()
 time.sleep(0.5)
 def ask(command, *p):
     one.mav.command_long_send(1, 1, command, 0, *p, *([0] * (7 - len(p))))
-def beat(test, what):
-    until = time.time() + 5
+def beat(test, what, again):
+    until = time.time() + 8
     while time.time() < until:
+        ask(*again)
         m = one.recv_match(type="HEARTBEAT", blocking=True, timeout=1)
         if m is not None and test(m):
             return
     raise SystemExit("no heartbeat with " + what)
-ask(176, 1, 6)
-beat(lambda m: m.custom_mode == 6 << 16, "OFFBOARD")
-ask(400, 1)
-beat(lambda m: m.base_mode & 128, "armed")
-ask(400, 0)
-beat(lambda m: not m.base_mode & 128, "disarmed")
+beat(lambda m: m.custom_mode == 6 << 16, "OFFBOARD", (176, 1, 6))
+beat(lambda m: m.base_mode & 128, "armed", (400, 1))
+beat(lambda m: not m.base_mode & 128, "disarmed", (400, 0))
 one.param_fetch_all()
 names, until = {{}}, time.time() + 5
 while time.time() < until:
@@ -238,10 +236,10 @@ def test_a_nan_setpoint_stops_the_motors_and_the_vehicle_says_so(offset: int) ->
     texts: list[str] = []
     try:
         wait_for_line(server, "whoever speaks")
-        until, asked = time.monotonic() + 6, False
+        until, asked = time.monotonic() + 9, False
         while time.monotonic() < until and not any("not finite" in t for t in texts):
             send(setpoint(math.nan if asked else 0.5))
-            if not asked and time.monotonic() > until - 5:
+            if time.monotonic() > until - 5:
                 send(mavlink.MAVLink_command_long_message(1, 1, 176, 0, 1, 6, 0, 0, 0, 0, 0))
                 send(mavlink.MAVLink_command_long_message(1, 1, 400, 0, 1, 0, 0, 0, 0, 0, 0))
                 asked = True

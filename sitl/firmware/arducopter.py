@@ -360,7 +360,7 @@ class ArduCopter(Autopilot):
         """The attitude as asked, the height by the vehicle's own loop."""
         goal = Goal(np.array([s.x[0], s.x[1], -math.copysign(FAR_M, up_m_s)]), abs(up_m_s)) if up_m_s else None
         if not self.navigator.active:
-            self.navigator.begin(s, self._thrust_now_N())
+            self._begin(s)
         if goal is not None:
             self.navigator.goal = goal
         elif abs(float(self.navigator.goal.x[2])) >= FAR_M:

@@ -121,6 +121,7 @@ class Autopilot(ABC):
         self._ground_heard_us: int | None = None
         self._home = np.zeros(3)
         self._at = np.zeros(3)
+        self._v_down, self._sinks_m_s2, self._noted_us = 0.0, 0.0, -1
         self._next_heartbeat_us = 0
         self._outbox: list[Outgoing] = []
         self._asked_for: list[tuple[int | None, int]] = []  # (link, message id) to build from the tick's snapshot
@@ -376,12 +377,15 @@ class Autopilot(ABC):
     def _go(self, s: Snapshot, goal: Goal | None) -> Actuation:
         """Fly to `goal` by the vehicle's own position loop, or stay where it began."""
         if not self.navigator.active:
-            self.navigator.begin(s, 0.0 if self.landed == ON_GROUND else self._thrust_now_N())
+            self._begin(s)
         if goal is not None:
             self.navigator.goal = goal
         force = self.navigator.force(s)
         thrust_N = float(np.linalg.norm(force))
         return Actuation(attitude(s, force), NO_RATE, self._motor_command_of(thrust_N), False)
+
+    def _begin(self, s: Snapshot) -> None:
+        self.navigator.begin(s, 0.0 if self.landed == ON_GROUND else self._thrust_now_N(), self._sinks_m_s2)
 
     def _down(self, speed: float) -> Goal:
         """Straight down until something stops it."""
@@ -401,7 +405,11 @@ class Autopilot(ABC):
         return Goal(np.array([self._home[0], self._home[1], height]), speed)
 
     def _note(self, s: Snapshot) -> None:
-        self._at = s.x
+        """Keep track of where it is and how it accelerates downwards."""
+        dt = (s.boot_us - self._noted_us) * 1e-6
+        if 0 < dt < 0.1:
+            self._sinks_m_s2 = (float(s.v[2]) - self._v_down) / dt
+        self._at, self._v_down, self._noted_us = s.x, float(s.v[2]), s.boot_us
 
 
 __all__ = ["ACCEPTED", "IN_AIR", "ON_GROUND", "Actuation", "Autopilot", "Body", "LinkKind", "Outgoing"]

@@ -41,9 +41,10 @@ class Navigator:
         self._wanted, self._wanted_v = np.zeros(3), np.zeros(3)
         self._force, self._integral = np.zeros(3), np.zeros(3)
 
-    def begin(self, s: Snapshot, thrust_N: float) -> None:
-        """Hold here from now on; the tilt of the moment is let go, its vertical pull kept (its weight where idle)."""
-        up = thrust_N * float(s.R[2, 2]) if thrust_N > 0.0 else self._weight
+    def begin(self, s: Snapshot, thrust_N: float, sinks_m_s2: float = 0.0) -> None:
+        """Hold here from now on, with the lift that would not have accelerated it; its weight where it was idle."""
+        lift = thrust_N * float(s.R[2, 2]) + self._mass * sinks_m_s2
+        up = max(lift, 0.0) if thrust_N > 0.0 else self._weight
         self._force = np.array([0.0, 0.0, -up])
         self._wanted, self._wanted_v, self._integral = s.x.copy(), s.v * 0.0, np.zeros(3)
         self.goal = Goal(s.x.copy(), 1.0)

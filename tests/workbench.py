@@ -1,0 +1,112 @@
+"""A vehicle on a table, its clock in our hand."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bridge.wire.messages import reread
+from bridge.wire.telemetry import Home, Snapshot
+from bridge.wire.values import IN_AIR, ON_GROUND, AttitudeTarget, Command, CommandAck, Heartbeat, StatusText
+from cablequad import lie
+from sitl.firmware.autopilot import Actuation, Autopilot, Body, LinkKind
+
+TICK = 4000
+LEVEL = (1.0, 0.0, 0.0, 0.0)
+BODY = Body(0.755, 25.0, 9.81)
+LINKS = (LinkKind.ONBOARD, LinkKind.GROUND, LinkKind.GROUND)
+ROLLED = lie.exp(np.array([0.2, 0.0, 0.0]))
+ROLLED_QUAT: tuple[float, ...] = tuple(lie.quat_from_rotation(ROLLED).tolist())
+
+
+class Point(NamedTuple):
+    """A mass with perfect attitude over level ground at z = 0: enough for a position loop."""
+
+    x: np.ndarray
+    v: np.ndarray
+
+
+class Bench:
+    """One vehicle, told what the test tells it; `drive` lets it move as it asks."""
+
+    def __init__(self, vehicle: Autopilot) -> None:
+        self.vehicle = vehicle
+        self.now = 0
+        self.R, self.Omega = np.eye(3), np.zeros(3)
+        self.point = Point(np.zeros(3), np.zeros(3))
+        self.heard: list[Any] = []
+        self.act: Actuation | None = None
+
+    def tick(self, ticks: int = 1, target: AttitudeTarget | None = None) -> None:
+        for _ in range(ticks):
+            self.now += TICK
+            if target is not None:
+                self.send(target)
+            self.vehicle.tick(self.now)
+            s = self.snapshot()
+            self.act = self.vehicle.actuation(s)
+            out = self.vehicle.outgoing(self.vehicle.snapshot(s), (True, False, False))
+            self.heard += [reread(o.message) for o in out if o.link in (0, None)]
+
+    def snapshot(self) -> Snapshot:
+        return Snapshot(
+            self.now, self.R, self.Omega, self.point.x, self.point.v, np.zeros(3), 0.0, False, self.vehicle.landed,
+            (self.R, self.Omega, 0.0), Home(),
+        )  # fmt: skip
+
+    def drive(self, seconds: float, pull: Callable[[Point], np.ndarray] | None = None, floor: bool = True) -> None:
+        """Let the vehicle fly as a point mass by what it asks of its rotors; `pull` is a cable's force, N."""
+        h = TICK * 1e-6
+        for _ in range(round(seconds / h)):
+            self.tick()
+            assert self.act is not None
+            x, v = self.point
+            if not self.act.rate_only:
+                self.R = self.act.R_c
+            thrust = BODY.max_thrust_N * self.act.throttle**2
+            force = np.array([0.0, 0.0, BODY.mass_kg * BODY.g]) - thrust * self.R[:, 2]
+            force += 0.0 if pull is None else pull(self.point)
+            v = v + h * force / BODY.mass_kg
+            x = x + h * v
+            stands = floor and x[2] >= 0.0
+            if stands:
+                x, v = np.array([x[0], x[1], 0.0]), np.zeros(3)
+            self.point = Point(x, v)
+            self.vehicle.set_landed(ON_GROUND if stands else IN_AIR)
+
+    def send(self, value: object, system: int = 255, component: int = 190, link: int = 0) -> None:
+        self.vehicle.handle(link, system, component, value, self.now)
+
+    def command(self, number: int, *params: float, system: int = 1, component: int = 1) -> list[int]:
+        """Results acknowledged for a command."""
+        self.heard.clear()
+        p = (*params, *([0.0] * (7 - len(params))))
+        self.send(Command(system, component, number, p[:7]))  # type: ignore[arg-type]
+        self.tick()
+        return [a.result for a in self.heard if isinstance(a, CommandAck) and a.command == number]
+
+    def texts(self) -> list[str]:
+        said: list[str] = []
+        for h in self.heard:
+            if isinstance(h, StatusText):
+                said += [h.text] if h.chunk == 0 else [said.pop() + h.text]
+        return said
+
+    def beat(self, target: AttitudeTarget | None = None) -> Heartbeat:
+        """The next heartbeat."""
+        self.heard.clear()
+        self.tick(251, target)
+        return next(h for h in self.heard if isinstance(h, Heartbeat))
+
+    def count(self, msgid: int, ticks: int = 250) -> int:
+        """How many messages of a kind go out on the first link."""
+        total = 0
+        for _ in range(ticks):
+            self.now += TICK
+            out = self.vehicle.outgoing(self.snapshot(), (True, True, False))
+            total += sum(o.message.msgid == msgid and o.link in (0, None) for o in out)
+        return total
+
+
+def target(**changes: Any) -> AttitudeTarget:
+    return AttitudeTarget(0, 1, 1, 7, LEVEL, (0.0, 0.0, 0.0), 0.6)._replace(**changes)
