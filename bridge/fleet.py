@@ -293,6 +293,8 @@ class Fleet:
                 return
         if v.stage is Stage.HEARTBEAT:
             self._enter(v, Stage.STREAMS, now)
+        elif v.stage is Stage.FLY and not beat.armed and self.released_at is None and v.landed != IN_AIR:
+            self._enter(v, Stage.ARM, now)  # idle for too long while others got ready
         elif v.stage is Stage.FLY and not beat.armed:
             self._fail(f"vehicle {v.system} disarmed in flight{_because(v)}")
         elif v.stage is Stage.FLY and beat.custom_mode != v.profile.control[1]:

@@ -1,6 +1,7 @@
 """The loop: one decision per measured state, on the vehicles' clock, until the plan is over or something ends it."""
 
-from collections.abc import Callable, Mapping
+from array import array
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple, Protocol
 
 from bridge.faults import Channel
@@ -38,11 +39,11 @@ class Timing(NamedTuple):
 
     ticks: int
     missed_ticks: int  # states of the vehicles that were never answered
-    intervals_s: list[float]  # between the states that were answered, in flight
-    turnaround_s: list[float]  # from a state's last frame to its last setpoint, in flight
+    intervals_s: Sequence[float]  # between the states that were answered, in flight
     flight_s: float  # wall clock from the first state answered in flight to the last
     thrust_scales: list[ThrustScale]  # of each vehicle: newtons made per newton asked
     predicted_ticks: int  # answered with a state that was not all measured
+    unread: int = 0  # frames that had come in when the flight ended and nobody looked at
 
 
 Channels = Mapping[int, Channel[Received]]  # by the system whose frames pass through
@@ -86,9 +87,9 @@ class _Flight:
         self.last: tuple[int, float] | None = None
         self.started: float | None = None
         self.ticks = self.missed = self.predicted = 0
-        self.intervals: list[float] = []
-        self.turnaround: list[float] = []
+        self.intervals = array("f")  # a long flight has millions
         self.scales = [ThrustScale()] * fleet.n
+        self.felt: list[tuple[int, Imu]] = []  # accelerations not yet compared with what was asked
         self.released = False
 
     @property
@@ -164,7 +165,7 @@ class _Flight:
             if frame.component == (1 if frame.system != TRACKER else COMPONENT):
                 self.observer.feed(frame.system, frame.value)
                 if isinstance(frame.value, Imu) and self.fleet.flying and frame.system <= self.fleet.n:
-                    self._compare_thrust(frame.system - 1, frame.value)
+                    self.felt.append((frame.system - 1, frame.value))
         if frames:
             self.record.received(self.now_us, frames)
         if self.fleet.released_at is not None and not self.released:
@@ -200,6 +201,9 @@ class _Flight:
         except WireError as error:  # nothing that is not finite goes out; the vehicles' own failsafes take over
             setpoints = []
             self.fleet.failure = self.fleet.failure or str(error)
+        for i, imu in self.felt:
+            self._compare_thrust(i, imu)
+        self.felt = []
         self.observer.commanded(instant.boot_ms, sample.R_c, sample.f)
         self.fleet.observed(now, instant.position_gap.tolist())
         self._send(self.fleet.due(now) + setpoints)
@@ -228,7 +232,6 @@ class _Flight:
         elif self.fleet.flying and self.last is not None:
             self.missed += max(0, (boot_ms - self.last[0]) // self.loop.period_ms - 1)
             self.intervals.append(arrived - self.last[1])
-            self.turnaround.append(done - arrived)
         self.last = (boot_ms, arrived)
         if self.ticks % max(1, 1000 // self.loop.period_ms) == 0:
             self.record.perf(self.now_us, done - arrived, self.ticks)
@@ -236,7 +239,7 @@ class _Flight:
     def timing(self) -> Timing:
         """What the loop measured of itself."""
         flight = 0.0 if self.started is None or self.last is None else self.last[1] - self.started
-        return Timing(self.ticks, self.missed, self.intervals, self.turnaround, flight, self.scales, self.predicted)
+        return Timing(self.ticks, self.missed, self.intervals, flight, self.scales, self.predicted)
 
 
 def fly(
@@ -279,7 +282,7 @@ def fly(
     timing = flight.timing()
     record.event(flight.now_us, "end", "all", reason)
     _let_go(flight)
-    return Outcome(completed, interrupted, reason), timing
+    return Outcome(completed, interrupted, reason), timing._replace(unread=len(flight.pending))
 
 
 def _let_go(flight: _Flight) -> None:

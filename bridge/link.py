@@ -49,8 +49,10 @@ class Sent(NamedTuple):
 class Counters:
     """What a link has seen, in frames."""
 
-    def __init__(self) -> None:
+    def __init__(self, ports: int) -> None:
         self.sent = 0
+        self.sent_on = [0] * ports  # by port, a frame as often as it has receivers
+        self.received_on = [0] * ports
         self.unsent = 0  # that the system did not take
         self.received = 0
         self.lost = 0  # by gaps in sequence numbers
@@ -63,7 +65,7 @@ class Link:
 
     def __init__(self, endpoints: list[Endpoint], signer: Signer | None = None) -> None:
         self.ports: list[Port] = []
-        self.counters = Counters()
+        self.counters = Counters(len(endpoints))
         self.signer = signer
         # select() waits with microsecond resolution, epoll with milliseconds
         self._selector = selectors.SelectSelector()
@@ -119,10 +121,11 @@ class Link:
         key = (port, system, component)
         seq = self._next_seq.get(key, 0)
         self._next_seq[key] = (seq + 1) & 255
-        whole = frame(message, seq, system, component, self.signer)
+        whole = frame(message, seq, system, component, self.signer, port & 255)
         for address in [to] if to is not None else self.ports[port].addresses():
             waiting = self._queue.setdefault((port, address), [])
             waiting.append(whole)
+            self.counters.sent_on[port] += 1
         self.counters.sent += 1
         return Sent(system, component, seq, message.msgid, message.name, whole)
 
@@ -217,3 +220,4 @@ class Link:
                 self.counters.lost += gap
         self._last_seq[key] = seq
         self.counters.received += 1
+        self.counters.received_on[port] += 1

@@ -93,8 +93,9 @@ class Gate:
         if all(stamp == newest for stamp in stamps if stamp > late):
             self._told_ms = newest
             return newest
-        earlier = newest - self._period_ms
-        if earlier > self._told_ms >= 0:  # somebody has gone on: what is missing of the tick before is not coming
+        gone_on = max(self._newest[self._tracker], newest - self._period_ms)  # the tracker speaks last in a tick
+        earlier = gone_on - self._period_ms
+        if earlier > self._told_ms >= 0:  # what is missing of the tick before is not coming
             self._told_ms = earlier
             return earlier
         return None

@@ -142,6 +142,12 @@ def sitl(
     ] = True,
     signing_key: KeyOption = None,
     accept_unsigned: UnsignedOption = False,
+    faults: Annotated[
+        bool,
+        typer.Option(
+            "--faults", help="Let [faults] act on what the vehicles send as well, for clients other than fly."
+        ),
+    ] = False,
 ) -> None:
     """Serve the scenario's vehicles and payload tracker until Ctrl-C."""
     from bridge.link import LinkError
@@ -152,12 +158,14 @@ def sitl(
     from sitl.plant import PhysicsError
 
     pace = _speed(speed)
+    if faults and math.isinf(pace):
+        _usage("--faults loses what the vehicles send, on which --speed max would wait for ever; give a --speed")
     try:
         flight = _load(scenario, None, None, firmware)
         key = None if signing_key is None else read_key(signing_key)
         serving = Serving(
             lockstep=math.isinf(pace), speed=pace, port_offset=port_offset, host=host, loose=not load,
-            signing_key=key, accept_unsigned_telemetry=accept_unsigned,
+            signing_key=key, accept_unsigned_telemetry=accept_unsigned, faults_at_sender=faults,
         )  # fmt: skip
         serve(flight, serving)
     except (ScenarioError, KeyFileError) as error:

@@ -69,6 +69,11 @@ def table(s: Summary) -> None:
     out.add_row("largest thrust", _of(s.max_thrust_N, "{:.2f} N"), limit("max_thrust_N"))
     out.add_row("smallest tension", _of(s.min_tension_N, "{:.2f} N"), limit("min_tension_N"))
     out.add_row("messages sent, lost, late", f"{s.messages_sent}, {s.messages_lost}, {s.messages_late}", "")
+    if s.predicted_ticks:
+        out.add_row("states partly predicted", str(s.predicted_ticks), "")
+    if s.thrust_scale:
+        made = ", ".join(f"{k['scale']:.4f} +- {k['error']:.4f}" for k in s.thrust_scale)
+        out.add_row("thrust made / asked", made, "")
     out.add_row("real-time factor", _of(s.real_time_factor, "{:.2f}"), "")
     if s.jitter_us is not None:
         jitter = f"{s.jitter_us['p50']:.0f}, {s.jitter_us['p99']:.0f}, {s.jitter_us['max']:.0f} us"

@@ -3,6 +3,7 @@
 import gc
 import json
 import math
+import os
 import platform
 import signal
 import subprocess
@@ -17,7 +18,7 @@ from types import FrameType
 
 import numpy as np
 
-from bridge.faults import Channel, generator
+from bridge.faults import Channel, Tally, generator
 from bridge.fleet import TRACKER, Fleet
 from bridge.fly import Outcome, Plan, Timing, fly
 from bridge.link import Endpoint, Link, LinkError, Received
@@ -35,14 +36,14 @@ from logs.recorder import Attachment, RecorderError
 from missions import scenario as scenarios
 from missions.scenario import Flight
 from missions.scribe import Opening, Scribe
-from missions.simulate import Serving, Simulator, few_collections, settings
+from missions.simulate import Serving, Simulator, few_collections, pin, settings
 from missions.summary import Summary, Track, summarize
 from sitl.server import HOST
 
 SWITCH_S = 0.0005  # the writer thread gives the interpreter back to the control loop this often
 
 
-NO_TIME = Timing(0, 0, [], [], 0.0, [], 0)
+NO_TIME = Timing(0, 0, [], 0.0, [], 0)
 
 
 @dataclass(frozen=True)
@@ -75,6 +76,7 @@ class _Watch:
         self.scribe = scribe
         self.track = Track()
         self.ended = False
+        self.tallies: list[Tally] = []  # of the faulty links to the controller
         self.received, self.sent, self.perf = scribe.received, scribe.sent, scribe.perf
 
     def decided(self, boot_us: int, sample: Sample, tension: list[float], flying: bool, age_s: float) -> None:
@@ -102,10 +104,11 @@ def run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary, 
 def _run(flight: Flight, design: Design, options: Options, progress: Progress) -> tuple[Summary, bool]:
     n = len(flight.system.m)
     key = options.signing_key
-    signer = Signer(key, 2, options.accept_unsigned_telemetry) if key is not None else None
+    signer = Signer(key, options.accept_unsigned_telemetry) if key is not None else None
     link = Link(_endpoints(n, options), signer)
     simulator: Simulator | None = None
     scribe: Scribe | None = None
+    processors = os.sched_getaffinity(0)
     before, thresholds = sys.getswitchinterval(), gc.get_threshold()
     try:
         scribe = Scribe(_opening(flight, design, options))
@@ -120,6 +123,8 @@ def _run(flight: Flight, design: Design, options: Options, progress: Progress) -
         scribe.wait_ready()
         watch = _Watch(scribe)
         _warm_up(design, flight)
+        if simulator is not None and math.isinf(options.speed):
+            pin(-2)
         sys.setswitchinterval(SWITCH_S)
         few_collections()
         with _interrupts() as interrupted:
@@ -130,6 +135,8 @@ def _run(flight: Flight, design: Design, options: Options, progress: Progress) -
                 outcome, timing = _fly(flight, design, link, watch, simulator, interrupted, progress, options.configure)
         if simulator is not None:
             simulator.stop()
+            while after := link.poll(0.0):  # what was still on its way is counted too
+                timing = timing._replace(unread=timing.unread + len(after))
         true_tension_N = scribe.smallest_tension_N(outcome.completed)
         if math.isfinite(true_tension_N):  # the simulator knows every link's; the tracker told the load's end
             watch.track.min_tension_N = true_tension_N
@@ -140,12 +147,16 @@ def _run(flight: Flight, design: Design, options: Options, progress: Progress) -
             flight.scenario.name, flight.scenario.acceptance, watch.track, outcome, timing,
             link.counters.sent, link.counters.lost, missed, n,
         )  # fmt: skip
+        wire = _wire(link, simulator, watch.tallies, timing.unread)
+        taken = wire["down_lost"] + wire.get("up_lost", 0)
+        summary = summary._replace(wire=wire, messages_lost=summary.messages_lost + taken)
         path = scribe.finish({k: json.dumps(v) for k, v in summary._asdict().items() if k not in ("log", "replay")})
         if scribe.error is not None:
             summary = summary._replace(passed=False, reason=scribe.error)
         return summary._replace(log=str(path)), outcome.interrupted
     finally:
         sys.setswitchinterval(before)
+        os.sched_setaffinity(0, processors)
         gc.set_threshold(*thresholds)
         gc.unfreeze()
         if simulator is not None:
@@ -153,6 +164,28 @@ def _run(flight: Flight, design: Design, options: Options, progress: Progress) -
         if scribe is not None:
             scribe.close()
         link.close()
+
+
+def _wire(link: Link, simulator: Simulator | None, tallies: list[Tally], unread: int) -> dict[str, int]:
+    """Frames on the wire, counted on both sides: down from the vehicles, up to them.
+
+    sent = received; and with what [faults] doubled, that is what passed, was lost or still waits to be read.
+    """
+    down = {
+        "down_received": link.counters.received,
+        "down_passed": sum(t.passed for t in tallies),
+        "down_lost": sum(t.lost for t in tallies),
+        "down_duplicated": sum(t.duplicated for t in tallies),
+        "down_waiting": sum(t.waiting for t in tallies) + unread,
+    }
+    up = {"up_sent": sum(link.counters.sent_on[:-1])}  # the last port is the tracker's
+    if simulator is None or simulator.report is None:
+        return {**down, **up}
+    r = simulator.report
+    return {
+        "down_sent": r.sent, **down, **up, "up_received": r.received, "up_passed": r.passed, "up_lost": r.lost,
+        "up_duplicated": r.duplicated, "up_waiting": r.waiting,
+    }  # fmt: skip
 
 
 def _fly(
@@ -195,6 +228,7 @@ def _fly(
         return None
 
     outcome, timing = fly(link, fleet, plan, design, loop, watch, s.link.connect_timeout_s, look, channels)
+    watch.tallies = [channel.tally for channel in channels.values()]
     return outcome._replace(interrupted=outcome.interrupted or interrupted()), timing
 
 

@@ -45,6 +45,9 @@ def serve(flight: Flight, serving: Serving) -> None:
         report = server.run(stopped.is_set)
     finally:
         server.close()
+    if report.bad or any(report.refused.values()):
+        refused = ", ".join(f"{count} {why}" for why, count in report.refused.items())
+        console.print(f"frames refused: {report.bad} damaged, {refused}")
     late = sorted(report.lateness_s)
     if late:
         p50, p99 = late[len(late) // 2], late[min(len(late) - 1, len(late) * 99 // 100)]

@@ -32,6 +32,7 @@ class Serving(NamedTuple):
     loose: bool = False
     signing_key: bytes | None = None
     accept_unsigned_telemetry: bool = False
+    faults_at_sender: bool = False
 
 
 def settings(flight: Flight, serving: Serving) -> Settings:
@@ -60,10 +61,21 @@ def settings(flight: Flight, serving: Serving) -> Settings:
         ready_us=tuple(None if t is None else round(t * 1e6) for t in ready),
         loose=serving.loose,
         faults=flight.faults_up,
+        faults_down=flight.faults_down[:-1] if serving.faults_at_sender else (),
         seed=s.seed,
         signing_key=serving.signing_key,
         accept_unsigned_telemetry=serving.accept_unsigned_telemetry,
     )
+
+
+def pin(which: int) -> None:
+    """Stay on one processor, counted among those allowed.
+
+    Loopback keeps the order of datagrams to different sockets only while their sender does not move; in lockstep a run
+    is the same every time only if a tick's last datagram is the last to arrive.
+    """
+    allowed = sorted(os.sched_getaffinity(0))
+    os.sched_setaffinity(0, {allowed[which % len(allowed)]})
 
 
 def few_collections() -> None:
@@ -94,6 +106,8 @@ def _child(values: Settings, status: Connection, truth: Connection) -> None:
         return
     try:
         few_collections()
+        if values.lockstep and values.await_controller:
+            pin(-1)
         status.send(Ready())
         report = server.run(lambda: stopped.is_set() or os.getppid() != parent)
         status.send(report)

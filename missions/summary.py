@@ -1,6 +1,7 @@
 """What a flight amounted to, and whether its own criteria hold."""
 
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -72,7 +73,7 @@ class Summary(NamedTuple):
     jitter_us: dict[str, float] | None = None
     criteria: list[dict[str, Any]] | None = None
     predicted_ticks: int = 0  # answered with a state that was not all measured
-    injected: dict[str, int] | None = None  # frames that [faults] took or doubled on their way to the controller
+    wire: dict[str, int] | None = None  # frames counted on both sides, and what became of them
     thrust_scale: list[dict[str, float]] | None = None  # of each vehicle: newtons made per newton asked
 
 
@@ -151,7 +152,7 @@ def summarize(
     return s._replace(passed=outcome.completed and not failed, reason=reason, criteria=[c._asdict() for c in found])
 
 
-def _jitter(intervals_s: list[float]) -> dict[str, float]:
+def _jitter(intervals_s: Sequence[float]) -> dict[str, float]:
     """How far the times between answered states lie from their median, in us."""
     values = np.array(intervals_s)
     off = np.abs(values - np.median(values)) * 1e6

@@ -13,7 +13,7 @@ import numpy as np
 from bridge.faults import Channel, Faults, generator
 from bridge.link import Endpoint, Link, Received
 from bridge.ports import GROUND_PORT, LISTEN_PORT, TRACKER_PORTS, stream_port, vehicle_ports
-from bridge.wire.frames import Signer
+from bridge.wire.frames import Packed, Signer
 from bridge.wire.messages import encode
 from bridge.wire.telemetry import BUILD, Home, Snapshot
 from bridge.wire.values import IN_AIR, ON_GROUND, AttitudeTarget, Timesync
@@ -55,6 +55,7 @@ class Settings(NamedTuple):
     ready_us: tuple[int | None, ...] = ()  # when each estimator has a position; None: as the firmware takes
     loose: bool = False  # the vehicles alone on the ground: no load, no cables, no tracker
     faults: tuple[Faults, ...] = ()  # of what each vehicle receives
+    faults_down: tuple[Faults, ...] = ()  # of what each vehicle sends, for clients that have no faults of their own
     seed: int = 0
     signing_key: bytes | None = None
     accept_unsigned_telemetry: bool = False
@@ -76,6 +77,14 @@ class Report(NamedTuple):
     missed_answers: int  # lockstep: ticks whose setpoint did not come in time
     missed_deadlines: int  # paced: ticks that began more than a tick late
     lateness_s: tuple[float, ...]  # paced: how late each tick began
+    sent: int  # frames to whoever is on the vehicles' onboard links and the tracker's
+    received: int  # frames on the vehicles' onboard links
+    passed: int  # of those received, and let through by [faults]
+    lost: int  # of those received, and taken by [faults]
+    duplicated: int
+    waiting: int
+    bad: int  # frames on any port that did not parse or made no sense
+    refused: dict[str, int]  # frames on any port, by what was wrong with their signature
 
 
 Sink = Callable[[Truth | Event], None]
@@ -126,7 +135,7 @@ class Server:
         firmware = s.firmware or ("px4",) * n
         self._places = places(firmware, s.port_offset, s.host)
         trackers = () if s.loose else tracker_endpoints(s.port_offset, s.host)
-        signer = Signer(s.signing_key, 1, s.accept_unsigned_telemetry) if s.signing_key is not None else None
+        signer = Signer(s.signing_key, s.accept_unsigned_telemetry) if s.signing_key is not None else None
         self.link = Link([*(place.endpoint for place in self._places), *trackers], signer)
         kind = LoosePlant if s.loose else Plant
         self.plant: Plant | LoosePlant = kind(s.system, s.airframe, s.initial, s.physics_us * 1e-6)
@@ -136,6 +145,10 @@ class Server:
             Channel(s.faults[i] if s.faults else Faults(), generator(s.seed, i + 1, up=True)) for i in range(n)
         ]
         self._faulty = [not c.faults.none for c in self._channels]
+        self._down: list[Channel[tuple[int, Packed]] | None] = [
+            Channel(f, generator(s.seed, i + 1, up=False)) if not f.none else None
+            for i, f in enumerate(s.faults_down[:n])
+        ] or [None] * n
         self._sink = sink
         self._tick = 0
         self._inbox: list[list[tuple[int, Received]]] = [[] for _ in range(self.n)]
@@ -163,14 +176,25 @@ class Server:
             self._tick += 1
             self._one_tick()
             self._wait(stop)
+        self._receive(0.0)
         return self.report()
 
     def report(self) -> Report:
         """How time was kept so far."""
-        return Report(self._tick, self._missed_answers, self._missed_deadlines, tuple(self._lateness))
+        counters, tallies = self.link.counters, [c.tally for c in self._channels]
+        onboard = range(self.n)
+        tracker_port = range(len(self._places), len(self.link.ports) - 1)
+        unread = sum(len(inbox) for inbox in self._inbox)
+        return Report(
+            self._tick, self._missed_answers, self._missed_deadlines, tuple(self._lateness),
+            sum(counters.sent_on[k] for k in (*onboard, *tracker_port)), sum(counters.received_on[k] for k in onboard),
+            sum(t.passed for t in tallies), sum(t.lost for t in tallies), sum(t.duplicated for t in tallies),
+            sum(t.waiting for t in tallies) + unread, counters.bad,
+            {verdict.value: count for verdict, count in counters.refused.items()},
+        )  # fmt: skip
 
     def close(self) -> None:
-        """Release the sockets."""
+        """Send what waits and release the sockets."""
         self.link.close()
 
     def _vehicle(self, i: int, firmware: str) -> Autopilot:
@@ -269,8 +293,9 @@ class Server:
             if all(v.carries(now) for v in self.vehicles):
                 plant.held = False
                 self._sink(Event(now, "release", "all", "every vehicle is armed and under command: released"))
-                for channel in self._channels:
-                    channel.released_us = now
+                for channel in (*self._channels, *self._down):
+                    if channel is not None:
+                        channel.released_us = now
         elif isinstance(plant, Plant) and not any(v.armed for v in self.vehicles):
             plant.reset()
             self._sink(Event(now, "reset", "all", "every vehicle is disarmed: back to the initial state, held"))
@@ -285,12 +310,19 @@ class Server:
     def _speak(self, i: int, vehicle: Autopilot, snapshot: Snapshot) -> None:
         audible = self._audible(i)
         self._expected[i] = False
+        down = self._down[i]
         for out in vehicle.outgoing(snapshot, audible):
             for link, port in enumerate(self._ports[i]):
                 if out.link in (None, link) and audible[link]:
+                    if down is not None:
+                        down.put((port, out.message), len(out.message.payload) + 12, snapshot.boot_us)
+                        continue
                     self.link.send(port, vehicle.system_id, 1, out.message)
                     if out.message.msgid == ATTITUDE_QUATERNION and port == self._controller_port[i]:
                         self._expected[i] = True
+        if down is not None:
+            for port, message in down.take(snapshot.boot_us):
+                self.link.send(port, vehicle.system_id, 1, message)
 
     def _audible(self, i: int) -> tuple[bool, ...]:
         """On which of vehicle i's links somebody may listen."""

@@ -392,7 +392,7 @@ def test_it_returns_lands_and_disarms() -> None:
     b.command(400, 1)
     b.command(22, 0, 0, 0, 0, 0, 0, 3)
     b.drive(7.0)
-    b.point = b.point._replace(x=b.point.x + [4.0, 0.0, 0.0])
+    b.point = b.point._replace(x=b.point.x + np.array((4.0, 0.0, 0.0)))
     assert b.command(20) == [0]
     b.drive(4.0)
     assert b.point.x[2] < -4.0

@@ -62,7 +62,9 @@ def test_mavutil_sees_flies_and_lands_them(tmp_path: Path, persona: str, offset:
         assert step in out, out
 
 
-@pytest.mark.skipif(MAVPROXY is None, reason="no mavproxy.py on the PATH nor in CABLEQUAD_MAVPROXY; .ci/run installs it")
+@pytest.mark.skipif(
+    MAVPROXY is None, reason="no mavproxy.py on the PATH nor in CABLEQUAD_MAVPROXY; .ci/run installs it"
+)
 def test_mavproxy_sees_flies_and_lands_them(tmp_path: Path, persona: str, offset: int) -> None:
     assert MAVPROXY is not None
     out = flown_by("with_mavproxy.py", tmp_path, persona, offset, MAVPROXY)

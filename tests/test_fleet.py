@@ -28,7 +28,6 @@ from cablequad.attitude import Airframe, Setpoint, flown
 from cablequad.state import State, positions
 from cablequad.system import System
 
-
 PX4, ARDUCOPTER = 12, 3
 
 
@@ -217,6 +216,17 @@ def test_an_arducopter_is_given_the_time_its_estimator_takes() -> None:
     del p.refuses[400]
     p.fly()
     assert p.fleet.flying
+
+
+def test_a_vehicle_that_disarms_while_it_waits_for_the_others_is_armed_again() -> None:
+    p = Played()
+    p.beat()
+    p.until(lambda: all(stage is Stage.FLY for stage in p.fleet.stages))
+    p.armed[0] = False
+    p.beat()
+    p.until(lambda: p.armed[0], p.now + 5)
+    assert p.armed[0]
+    assert p.fleet.failure is None
 
 
 def test_a_vehicle_that_reboots_is_named_with_both_times() -> None:

@@ -1,12 +1,12 @@
 """The PX4 persona: one table a behaviour, against messages and a clock that the test turns."""
 
 import math
-from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from workbench import BODY, LINKS, ROLLED, ROLLED_QUAT, TICK, Bench, target
 
 from bridge.thrust import MotorCommand
 from bridge.wire.dialect import mavlink
@@ -33,7 +33,6 @@ from bridge.wire.values import (
     Timesync,
 )
 from sitl.firmware.px4 import Px4
-from workbench import BODY, LINKS, ROLLED, ROLLED_QUAT, TICK, Bench, target
 
 OFFBOARD, LOITER, POSCTL = 6 << 16, 4 << 16 | 3 << 24, 3 << 16
 TAKEOFF, RTL, LAND = 4 << 16 | 2 << 24, 4 << 16 | 5 << 24, 4 << 16 | 6 << 24
@@ -423,7 +422,7 @@ def test_take_off_climbs_to_its_altitude_holds_there_returns_and_lands() -> None
     b.drive(6.0)
     assert b.vehicle.mode.custom == LOITER
     assert b.point.x[2] == pytest.approx(-2.5, abs=0.1)
-    b.point = b.point._replace(x=b.point.x + [3.0, -2.0, 0.0])  # carried away
+    b.point = b.point._replace(x=b.point.x + np.array((3.0, -2.0, 0.0)))  # carried away
     b.vehicle.navigator.end()
     b.drive(3.0)
     assert b.point.x[0] == pytest.approx(3.0, abs=0.1)

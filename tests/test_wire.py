@@ -159,17 +159,17 @@ def test_the_quick_codec_and_pymavlink_make_the_same_bytes(v: list[float], boot_
 
 def test_signed_frames_are_those_of_pymavlink() -> None:
     key = bytes(range(32))
-    signer, codec = Signer(key, 5), mavlink.MAVLink(None, 9, 1)
+    signer, codec = Signer(key), mavlink.MAVLink(None, 9, 1)
     signer.stamp = 1234
     codec.signing.secret_key, codec.signing.link_id, codec.signing.timestamp = key, 5, 1235
     codec.signing.sign_outgoing = True
     beat = mavlink.MAVLink_heartbeat_message(2, 12, 1, 0, 3, 3)
-    assert frame(packed(beat), 0, 9, 1, signer) == bytes(beat.pack(codec))
+    assert frame(packed(beat), 0, 9, 1, signer, 5) == bytes(beat.pack(codec))
 
 
 def test_signatures_are_believed_only_once_and_only_when_they_are_right() -> None:
     key, beat = b"k" * 32, encode(Heartbeat(2, 12, 1, 0, 3))
-    sender, receiver = Signer(key, 1), Signer(key, 2)
+    sender, receiver = Signer(key), Signer(key)
     sender.at(1.8e9)
     receiver.at(1.8e9)
     first, second = frame(beat, 0, 9, 1, sender), frame(beat, 1, 9, 1, sender)
@@ -180,10 +180,10 @@ def test_signatures_are_believed_only_once_and_only_when_they_are_right() -> Non
     assert receiver.judge(first) is Verdict.REPLAYED
     assert receiver.judge(second) is Verdict.GOOD
     assert receiver.judge(frame(beat, 2, 9, 1)) is Verdict.UNSIGNED
-    assert receiver.judge(frame(beat, 2, 9, 1, Signer(b"x" * 32, 1))) is Verdict.WRONG
-    old = Signer(key, 7)
+    assert receiver.judge(frame(beat, 2, 9, 1, Signer(b"x" * 32))) is Verdict.WRONG
+    old = Signer(key)
     old.at(1.8e9 - 120)  # a recording of two minutes ago, on a stream not heard before
-    assert receiver.judge(frame(beat, 0, 9, 1, old)) is Verdict.REPLAYED
+    assert receiver.judge(frame(beat, 0, 9, 1, old, 7)) is Verdict.REPLAYED
 
 
 class TestLink:
@@ -277,12 +277,12 @@ class TestLink:
         _, other, _ = self.pair(offset)
         address = ("127.0.0.1", 21500 + offset)
         key = b"k" * 32
-        link = Link([Endpoint(address, None)], Signer(key, 1, accept_unsigned_telemetry=True))
-        signer = Signer(key, 2)
+        link = Link([Endpoint(address, None)], Signer(key, accept_unsigned_telemetry=True))
+        signer = Signer(key)
         signer.at(time.time())
         command = Command(1, 1, 400, (1.0, 0, 0, 0, 0, 0, 0))
         other.sendto(self.frame(0) + self.frame(1, command) + frame(encode(command), 2, 9, 1, signer), address)
-        other.sendto(frame(encode(command), 3, 9, 1, Signer(b"x" * 32, 1)), address)
+        other.sendto(frame(encode(command), 3, 9, 1, Signer(b"x" * 32)), address)
         got = [f for _ in range(3) for f in link.poll(0.05)]
         assert [f.name for f in got] == ["HEARTBEAT", "COMMAND_LONG"]
         assert link.counters.refused == {Verdict.UNSIGNED: 1, Verdict.WRONG: 1, Verdict.REPLAYED: 0}

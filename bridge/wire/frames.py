@@ -54,8 +54,10 @@ def payload_of(frame: bytes) -> bytes:
     return frame[start : start + frame[1]]
 
 
-def frame(message: Packed, seq: int, system: int, component: int, signer: "Signer | None" = None) -> bytes:
-    """One MAVLink 2 frame."""
+def frame(
+    message: Packed, seq: int, system: int, component: int, signer: "Signer | None" = None, link_id: int = 0
+) -> bytes:
+    """One MAVLink 2 frame; `link_id` goes into its signature."""
     msgid, payload = message.msgid, message.payload
     flags = 0 if signer is None else SIGNED
     body = bytes(
@@ -63,7 +65,7 @@ def frame(message: Packed, seq: int, system: int, component: int, signer: "Signe
     ) + payload  # fmt: skip
     crc = checksum(body + bytes((message.crc_extra,)))
     out = b"\xfd" + body + bytes((crc & 255, crc >> 8))
-    return out if signer is None else out + signer.signature(out)
+    return out if signer is None else out + signer.signature(out, link_id)
 
 
 class Verdict(Enum):
@@ -78,11 +80,10 @@ class Verdict(Enum):
 class Signer:
     """One side's key, the time stamps it has given out and those it has seen."""
 
-    def __init__(self, key: bytes, link_id: int, accept_unsigned_telemetry: bool = False) -> None:
+    def __init__(self, key: bytes, accept_unsigned_telemetry: bool = False) -> None:
         if len(key) != 32:
             raise ValueError(f"a signing key has 32 bytes, not {len(key)}")
         self._key = key
-        self._link = bytes((link_id,))
         self.accept_unsigned_telemetry = accept_unsigned_telemetry
         self.stamp = 0  # 10 us since 2015; the owner of a clock moves it on
         self._seen: dict[tuple[int, int, int], int] = {}
@@ -91,10 +92,13 @@ class Signer:
         """Let the time stamps follow a clock; they never go back."""
         self.stamp = max(self.stamp, int((unix_s - SIGNING_EPOCH_S) * 1e5))
 
-    def signature(self, unsigned: bytes) -> bytes:
-        """The 13 bytes that end a frame whose flags already say that it is signed."""
+    def signature(self, unsigned: bytes, link_id: int) -> bytes:
+        """The 13 bytes that end a frame whose flags already say that it is signed.
+
+        Each link has an id of its own, as what goes out on two of them may arrive in another order.
+        """
         self.stamp += 1
-        tail = self._link + self.stamp.to_bytes(6, "little")
+        tail = bytes((link_id,)) + self.stamp.to_bytes(6, "little")
         return tail + hashlib.sha256(self._key + unsigned + tail).digest()[:6]
 
     def judge(self, frame: bytes) -> Verdict:

@@ -82,8 +82,10 @@ try:
     time.sleep(1.0)
     until(
         "parameters complete",
-        lambda ms: len({m.param_id for m in ms if m.get_type() == "PARAM_VALUE" and m.get_srcSystem() == 3})
-        == getattr(last(ms, "PARAM_VALUE"), "param_count", -1),
+        lambda ms: (
+            len({m.param_id for m in ms if m.get_type() == "PARAM_VALUE" and m.get_srcSystem() == 3})
+            == getattr(last(ms, "PARAM_VALUE"), "param_count", -1)
+        ),
         "param fetch",
     )
     say("long SET_MESSAGE_INTERVAL 30 100000")
@@ -99,12 +101,18 @@ try:
         until("mode LAND", lambda ms: beat(ms, lambda m: m.custom_mode == 9), "mode LAND")
     else:
         until("armed", lambda ms: beat(ms, lambda m: m.base_mode & 128), "arm throttle")
-        until("mode TAKEOFF", lambda ms: getattr(last(ms, "LOCAL_POSITION_NED"), "z", 0) < -1.5, "long DO_SET_MODE 209 4 2")
+        until(
+            "mode TAKEOFF",
+            lambda ms: getattr(last(ms, "LOCAL_POSITION_NED"), "z", 0) < -1.5,
+            "long DO_SET_MODE 209 4 2",
+        )
         tilting.set()
         until("mode OFFBOARD", lambda ms: beat(ms, lambda m: m.custom_mode == 6 << 16), "long DO_SET_MODE 209 6 0")
         until("rolls right", lambda ms: getattr(last(ms, "ATTITUDE"), "roll", 0) > 0.15)
         tilting.clear()
-        until("mode LAND", lambda ms: beat(ms, lambda m: m.custom_mode == 4 << 16 | 6 << 24), "long DO_SET_MODE 209 4 6")
+        until(
+            "mode LAND", lambda ms: beat(ms, lambda m: m.custom_mode == 4 << 16 | 6 << 24), "long DO_SET_MODE 209 4 6"
+        )
     until("landed and disarmed", lambda ms: beat(ms, lambda m: not m.base_mode & 128), seconds=40)
     until("disarm is understood", lambda ms: beat(ms, lambda m: not m.base_mode & 128), "disarm")
     text = (folder / "out.txt").read_text()

@@ -65,7 +65,7 @@ def insists(call: Callable[[], object]) -> bool:
 until("offboard", lambda: insists(offboard.start))
 until("armed", lambda: insists(action.arm))
 until("shown as armed", telemetry.armed)
-for roll, pitch, axis, sign in ((12.0, 0.0, "east_m", 1), (0.0, -12.0, "north_m", 1)):
+for roll, pitch, axis in ((12.0, 0.0, "east_m"), (0.0, -12.0, "north_m")):
     offboard.set_attitude(Attitude(roll, pitch, 0.0, 0.62 if PERSONA == "px4" else 0.34))
     until(f"roll {roll:g}, pitch {pitch:g} as asked", lambda roll=roll, pitch=pitch: (
         abs(telemetry.attitude_euler().roll_deg - roll) < 2.0 and abs(telemetry.attitude_euler().pitch_deg - pitch) < 2.0

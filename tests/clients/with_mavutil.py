@@ -72,7 +72,9 @@ assert len(names) == next(iter(names.values())), names
 print(f"{len(names)} parameters", flush=True)
 
 for msgid in (30, 32, 245):
-    until(f"message {msgid} at 20 Hz", "COMMAND_ACK", lambda m: m.command == 511 and m.result == 0, (511, msgid, 50_000))
+    until(
+        f"message {msgid} at 20 Hz", "COMMAND_ACK", lambda m: m.command == 511 and m.result == 0, (511, msgid, 50_000)
+    )
 first = until("attitude", "ATTITUDE", lambda m: True)
 until("attitude again, later", "ATTITUDE", lambda m: m.time_boot_ms > first.time_boot_ms)
 threading.Thread(target=stream, daemon=True).start()
