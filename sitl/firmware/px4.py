@@ -250,7 +250,8 @@ class Px4(Autopilot):
         if not self.armed or self.terminated or (spooling and self.landed == ON_GROUND):
             act = Actuation(s.R, NO_RATE, 0.0, True)
         elif self.mode is Mode.OFFBOARD and self._target is not None:
-            act = self._offboard(s, self._target)
+            asked = 0.0 if self._target.type_mask & 64 else self._target.thrust
+            return self._act(self._offboard(s, self._target), abs(asked))  # the size of thrust_body
         else:
             act = self._on_board(s)
         return self._act(act, act.throttle)
