@@ -92,7 +92,7 @@ def handling_us() -> float:
 
 @contextmanager
 def timed(places: list[tuple[type | Any, str, str]]) -> Iterator[dict[str, float]]:
-    """Wall seconds by phase while inside, for calls of (where, name, phase); what one phase holds of another is its own."""
+    """Wall seconds by phase while inside, for calls of (where, name, phase), without what they call of other phases."""
     spent: dict[str, float] = {}
     depth: list[float] = []
     originals = [(where, name, getattr(where, name)) for where, name, _ in places]
@@ -121,8 +121,8 @@ def timed(places: list[tuple[type | Any, str, str]]) -> Iterator[dict[str, float
 
 
 BRIDGE = [
-    (Link, "poll", "socket and wait"), (Link, "flush", "socket"), (Link, "_split", "codec"), (Observer, "feed", "observe"),
-    (Observer, "estimate", "observe"), (fly_module, "tick", "control"), (Fleet, "setpoints", "codec"),
+    (Link, "poll", "socket and wait"), (Link, "flush", "socket"), (Link, "_split", "codec"),
+    (Observer, "feed", "observe"), (Observer, "estimate", "observe"), (fly_module, "tick", "control"), (Fleet, "setpoints", "codec"),
     (Fleet, "due", "protocol"), (Fleet, "feed", "protocol"), (Link, "send", "codec"), (Scribe, "received", "record"),
     (Scribe, "sent", "record"), (Scribe, "decided", "record"),
 ]  # fmt: skip

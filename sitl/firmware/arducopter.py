@@ -150,27 +150,10 @@ class ArduCopter(Autopilot):
                 return [self._switch(Mode.LOITER, now_us)]
             case M.MAV_CMD_SET_MESSAGE_INTERVAL:
                 return [self._set_interval(link, number[0], p[1], p[2])]
-            case M.MAV_CMD_GET_MESSAGE_INTERVAL:
-                self._tell_interval(link, max(number[0], 0))
-                return [ACCEPTED]
-            case M.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES:
-                self._version(link)
-                return [ACCEPTED]
-            case M.MAV_CMD_GET_HOME_POSITION:
-                if now_us < self._ready_us:
-                    return [FAILED]
-                self._ask(link, M.MAVLINK_MSG_ID_HOME_POSITION)
-                return [ACCEPTED]
-            case M.MAV_CMD_REQUEST_MESSAGE:
-                if number[0] == M.MAVLINK_MSG_ID_AUTOPILOT_VERSION:
-                    self._version(link)
-                elif number[0] in BUILD:
-                    self._ask(link, number[0])
-                else:
-                    return [FAILED]
-                return [ACCEPTED]
+            case M.MAV_CMD_GET_HOME_POSITION if now_us < self._ready_us:
+                return [FAILED]
             case _:
-                return [UNSUPPORTED]
+                return [self._request(link, c.command, number[0], FAILED)]
 
     def _set_interval(self, link: int, msgid: int, interval_us: float, p3: float) -> int:
         if msgid not in BUILD or not math.isfinite(interval_us) or interval_us < -1 or p3 not in (0.0,):

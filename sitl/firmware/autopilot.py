@@ -39,7 +39,7 @@ from cablequad.types import Array
 from sitl.firmware.navigate import FAR_M, Goal, Navigator, attitude
 from sitl.firmware.parameters import Parameters
 from sitl.firmware.streams import Streams
-from sitl.firmware.transitions import ACCEPTED, CRITICAL, INFO, Row
+from sitl.firmware.transitions import ACCEPTED, CRITICAL, INFO, UNSUPPORTED, Row
 
 M = mavlink
 ATTITUDE_QUATERNION = M.MAVLINK_MSG_ID_ATTITUDE_QUATERNION
@@ -243,16 +243,26 @@ class Autopilot(ABC):
         del system
         self._ground_heard_us = now_us
 
-    def _ask(self, link: int, msgid: int) -> None:
-        """Have a message built from this tick's snapshot."""
-        self._asked_for.append((link, msgid))
-
-    def _version(self, link: int) -> None:
-        self._reply(link, ServerVersion(self.capabilities, self.version, self.system_id))
-
-    def _tell_interval(self, link: int, msgid: int) -> None:
-        message = M.MAVLink_message_interval_message(msgid, self.streams[link].interval_us(msgid))
-        self._outbox.append(Outgoing(link, packed(message)))
+    def _request(self, link: int, command: int, msgid: int, unknown: int) -> int:
+        """Commands that only ask for a message: the result, `unknown` for a message that this vehicle does not have."""
+        match command:
+            case M.MAV_CMD_GET_MESSAGE_INTERVAL:
+                asked = max(msgid, 0)
+                message = M.MAVLink_message_interval_message(asked, self.streams[link].interval_us(asked))
+                self._outbox.append(Outgoing(link, packed(message)))
+            case M.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES:
+                self._reply(link, ServerVersion(self.capabilities, self.version, self.system_id))
+            case M.MAV_CMD_GET_HOME_POSITION:
+                self._asked_for.append((link, M.MAVLINK_MSG_ID_HOME_POSITION))
+            case M.MAV_CMD_REQUEST_MESSAGE if msgid == M.MAVLINK_MSG_ID_AUTOPILOT_VERSION:
+                self._reply(link, ServerVersion(self.capabilities, self.version, self.system_id))
+            case M.MAV_CMD_REQUEST_MESSAGE if msgid in BUILD:
+                self._asked_for.append((link, msgid))
+            case M.MAV_CMD_REQUEST_MESSAGE:
+                return unknown
+            case _:
+                return UNSUPPORTED
+        return ACCEPTED
 
     # -- what goes out -------------------------------------------------------------------------------------------------
 

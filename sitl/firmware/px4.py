@@ -25,7 +25,6 @@ from sitl.firmware.transitions import (
     FAILED,
     INFO,
     TEMPORARILY_REJECTED,
-    UNSUPPORTED,
     decide,
 )
 
@@ -115,25 +114,8 @@ class Px4(Autopilot):
                 if ok:
                     self.streams[link].set_interval(number[0], p[1])
                 return [ACCEPTED if ok else FAILED]
-            case M.MAV_CMD_GET_MESSAGE_INTERVAL:
-                self._tell_interval(link, max(number[0], 0))
-                return [ACCEPTED]
-            case M.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES:
-                self._version(link)
-                return [ACCEPTED]
-            case M.MAV_CMD_GET_HOME_POSITION:
-                self._ask(link, M.MAVLINK_MSG_ID_HOME_POSITION)
-                return [ACCEPTED]
-            case M.MAV_CMD_REQUEST_MESSAGE:
-                if number[0] == M.MAVLINK_MSG_ID_AUTOPILOT_VERSION:
-                    self._version(link)
-                elif number[0] in BUILD:
-                    self._ask(link, number[0])
-                else:
-                    return [DENIED]
-                return [ACCEPTED]
             case _:
-                return [UNSUPPORTED]
+                return [self._request(link, c.command, number[0], DENIED)]
 
     def _set_mode(self, value: SetMode, now_us: int) -> int | None:
         return self._enter(value.custom_mode >> 16 & 255, value.custom_mode >> 24 & 255, now_us)
