@@ -13,7 +13,6 @@ from bridge.wire.frames import Packed, packed
 from bridge.wire.messages import encode, text_frames
 from bridge.wire.telemetry import BUILD, MOTION_ALONE, Snapshot
 from bridge.wire.values import (
-    IN_AIR,
     ON_GROUND,
     AttitudeTarget,
     Command,
@@ -420,6 +419,3 @@ class Autopilot(ABC):
         if 0 < dt < 0.1:
             self._sinks_m_s2 = (float(s.v[2]) - self._v_down) / dt
         self._at, self._v_down, self._noted_us = s.x, float(s.v[2]), s.boot_us
-
-
-__all__ = ["ACCEPTED", "IN_AIR", "ON_GROUND", "Actuation", "Autopilot", "Body", "LinkKind", "Outgoing"]
