@@ -121,11 +121,20 @@ def timed(places: list[tuple[type | Any, str, str]]) -> Iterator[dict[str, float
 
 
 BRIDGE = [
-    (Link, "poll", "socket and wait"), (Link, "flush", "socket"), (Link, "_split", "codec"),
-    (Observer, "feed", "observe"), (Observer, "estimate", "observe"), (fly_module, "tick", "control"),
-    (Fleet, "setpoints", "codec"), (Fleet, "due", "protocol"), (Fleet, "feed", "protocol"), (Link, "send", "codec"), (Scribe, "received", "record"),
-    (Scribe, "sent", "record"), (Scribe, "decided", "record"),
-]  # fmt: skip
+    (Link, "poll", "socket and wait"),
+    (Link, "flush", "socket"),
+    (Link, "_split", "codec"),
+    (Observer, "feed", "observe"),
+    (Observer, "estimate", "observe"),
+    (fly_module, "tick", "control"),
+    (Fleet, "setpoints", "codec"),
+    (Fleet, "due", "protocol"),
+    (Fleet, "feed", "protocol"),
+    (Link, "send", "codec"),
+    (Scribe, "received", "record"),
+    (Scribe, "sent", "record"),
+    (Scribe, "decided", "record"),
+]
 VEHICLES = [
     (Link, "poll", "socket and wait"), (Link, "flush", "socket"), (Link, "_split", "codec"), (Link, "send", "codec"),
     (Plant, "advance", "physics"), (Plant, "truth", "physics"), (Plant, "kinematics", "physics"),
