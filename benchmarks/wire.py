@@ -139,7 +139,7 @@ VEHICLES = [
     (Link, "poll", "socket and wait"), (Link, "flush", "socket"), (Link, "_split", "codec"), (Link, "send", "codec"),
     (Plant, "advance", "physics"), (Plant, "truth", "physics"), (Plant, "kinematics", "physics"),
     (Plant, "specific_force", "physics"), (Plant, "command", "physics"), (Autopilot, "outgoing", "codec"),
-    (Autopilot, "prepare", "codec"), (Autopilot, "handle", "protocol"), (Server, "_track", "codec"),
+    (Autopilot, "handle", "protocol"), (Server, "_track", "codec"),
     (simulate, "put", "record"),
 ]  # fmt: skip
 _real_child = simulate._child

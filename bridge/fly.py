@@ -180,7 +180,7 @@ class _Flight:
     def _compare_thrust(self, i: int, imu: Imu) -> None:
         """What vehicle i's rotors give against what was asked: the accelerometer, less the pull of its cable."""
         told = self.observer.known(imu.boot_us // 1000)
-        acting = self.observer.acting(imu.boot_us // 1000)
+        acting = self.observer.acting(imu.boot_us // 1000 - 1)  # until then
         if told is None or acting is None:
             return
         state, tension = told

@@ -90,12 +90,11 @@ class Link:
         time.sleep(max(0.0, deadline - time.monotonic()))
 
     def poll(self, timeout: float, closing: int | None = None) -> list[Received]:
-        """Frames that have arrived, waiting up to `timeout` s for the first; what waits to be sent goes out before.
+        """Frames that have arrived, waiting up to `timeout` s for the first.
 
         `closing` is the port on which the last of a burst is expected: being woken once for all of it, and not for
         every datagram, halves what a tick costs. The others are not kept waiting for more than `GRACE_S`.
         """
-        self.flush()
         if closing is not None:
             waits_on = self.ports[closing].listening()
             if waits_on and select.select(waits_on, (), (), min(timeout, GRACE_S))[0]:

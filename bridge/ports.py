@@ -94,6 +94,11 @@ class DatagramPort:
             self.peers[address] = None
         self.peers.move_to_end(address)
 
+    @property
+    def heard(self) -> bool:
+        """Whether somebody may be there."""
+        return self.endpoint.peer is not None or bool(self.peers)
+
     def addresses(self) -> list[Address]:
         """Everyone a broadcast on this port goes to."""
         fixed = [] if self.endpoint.peer is None else [self.endpoint.peer]
@@ -187,6 +192,11 @@ class StreamPort:
 
     def learn(self, address: Address) -> None:
         """Who is connected is known."""
+
+    @property
+    def heard(self) -> bool:
+        """Whether somebody is connected."""
+        return bool(self._clients)
 
     def addresses(self) -> list[Address]:
         """Everyone who is connected."""

@@ -1,4 +1,4 @@
-"""MCAP out, in a thread of its own: the control loop only puts values into a queue.
+"""MCAP out, in a thread or a process of its own: the control loop only hands values over.
 
 The file is NAME.mcap.part until `finish`; chunks are closed every `FLUSH_S`, so a killed run loses no more.
 A write that fails (a full disk) cuts the file back to its last whole chunk, keeps the error and ends the recording.
@@ -82,8 +82,12 @@ class Recorder:
         attachments: Sequence[Attachment] = (),
         epoch_ns: int = EPOCH_NS,
         with_truth: bool = False,
+        threaded: bool = True,
     ) -> None:
-        """`with_truth`: a simulator will tell its state, so frames for viewers come from it and not from decisions."""
+        """`with_truth`: a simulator will tell its state, so frames for viewers come from it and not from decisions.
+
+        Not `threaded`: the caller has a process for it, writes inline and calls `idle` when it has nothing to say.
+        """
         self.path = path
         self.part = path.with_name(path.name + ".part")
         self.error: str | None = None
@@ -110,8 +114,11 @@ class Recorder:
         for name, values in metadata.items():
             self._writer.add_metadata(name, dict(values))
         self._file.flush()
-        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
-        self._thread.start()
+        self._flushed = self._synced = time.monotonic()
+        self._thread: threading.Thread | None = None
+        if threaded:
+            self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
+            self._thread.start()
         self._put(lambda: self._write("/scene", 0, encode.scene(model, epoch_ns)))
 
     # -- what the loop calls -------------------------------------------------------------------------------------------
@@ -149,14 +156,20 @@ class Recorder:
         )
         self._put(lambda: self._write("/perf", boot_us, message))
 
+    def idle(self) -> None:
+        """Let time pass: a chunk that is old enough is closed."""
+        self._put(self._nothing)
+
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
         """A metadata record, in its place in the file."""
         self._put(lambda: self._writer.add_metadata(name, dict(values)))
 
     def finish(self) -> Path:
         """Write everything out and give the log its name; where that fails, `error` says so and the part stays."""
-        self._queue.put(None)
-        self._thread.join()
+        if self._thread is not None:
+            self._queue.put(None)
+            self._thread.join()
+        self._end()
         if self.error is None:
             os.replace(self.part, self.path)
             return self.path
@@ -165,30 +178,38 @@ class Recorder:
     # -- the writer thread ---------------------------------------------------------------------------------------------
 
     def _put(self, write: Callable[[], None]) -> None:
-        self._queue.put(write)
+        if self._thread is None:
+            self._do(write)
+        else:
+            self._queue.put(write)
 
     def _run(self) -> None:
-        flushed = synced = time.monotonic()
         while True:
             try:
                 job = self._queue.get(timeout=FLUSH_S)
             except queue.Empty:
                 job = self._nothing
             if job is None:
-                break
-            if self.error is not None:
-                continue  # what comes after a failed write has nowhere to go
-            try:
-                job()
-                now = time.monotonic()
-                if now - flushed >= FLUSH_S:
-                    flushed = now
-                    self._flush()
-                    if now - synced >= SYNC_S:
-                        synced = now
-                        os.fdatasync(self._file.fileno())
-            except OSError as error:
-                self._give_up(error)
+                return
+            self._do(job)
+
+    def _do(self, job: Callable[[], None]) -> None:
+        """Write, and close a chunk when it is time; what comes after a failed write has nowhere to go."""
+        if self.error is not None:
+            return
+        try:
+            job()
+            now = time.monotonic()
+            if now - self._flushed >= FLUSH_S:
+                self._flushed = now
+                self._flush()
+                if now - self._synced >= SYNC_S:
+                    self._synced = now
+                    os.fdatasync(self._file.fileno())
+        except OSError as error:
+            self._give_up(error)
+
+    def _end(self) -> None:
         if self.error is None:
             try:
                 self._writer.finish()  # type: ignore[no-untyped-call]

@@ -24,13 +24,13 @@ from bridge.link import Received, Sent
 from bridge.wire.dialect import mavlink
 from cablequad.pilot import Sample
 from logs.encode import Model, Motion
-from logs.recorder import Attachment, Frame, Recorder, RecorderError
+from logs.recorder import FLUSH_S, Attachment, Frame, Recorder, RecorderError
 from missions.channel import Shapes, put_sample, sample_shapes, take, take_sample
 from sitl.plant import Truth
 from sitl.server import Event
 
 PIPE_BYTES = 1 << 20  # what may wait for the scribe before the control loop does
-TOGETHER = 8  # decisions in one write, as a wake-up of the scribe costs more than what it is told
+TOGETHER = 16  # decisions in one write, as a wake-up of the scribe costs more than what it is told
 BATCH = 128  # entries that wait at most, where no tick is answered
 TRUTH_WAIT_S = 1.0  # the simulator says what it did right after it spoke; longer means that it has ended
 START_S = 60.0
@@ -264,11 +264,12 @@ def _child(opening: Opening, down: Connection, up: Connection, truth: Connection
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)  # the bridge's end of the pipe decides
     with contextlib.suppress(OSError):
-        os.nice(1)  # the flight goes first
+        os.nice(10)  # the flight goes first
     try:
         recorder = Recorder(
-            opening.path, opening.model, opening.metadata, opening.attachments, opening.epoch_ns, opening.with_truth
-        )
+            opening.path, opening.model, opening.metadata, opening.attachments, opening.epoch_ns, opening.with_truth,
+            threaded=False,
+        )  # fmt: skip
     except RecorderError as error:
         up.send(str(error))
         return
@@ -277,6 +278,9 @@ def _child(opening: Opening, down: Connection, up: Connection, truth: Connection
     told_error = False
     while True:
         try:
+            if not down.poll(FLUSH_S):
+                recorder.idle()
+                continue
             batch = pickle.loads(down.recv_bytes())
         except (EOFError, OSError):
             ledger.end_truth(False)

@@ -17,7 +17,7 @@ from missions.scenario import Flight
 from sitl.plant import PhysicsError, Truth
 from sitl.server import HOST, Event, Report, Server, Settings
 
-TOLD_TOGETHER = 8  # ticks of truth in one write: a wake-up of the scribe costs more than what it is told
+TOLD_TOGETHER = 16  # ticks of truth in one write: a wake-up of the scribe costs more than what it is told
 START_S = 180.0  # the first start on a machine compiles the model
 
 

@@ -1,10 +1,10 @@
 """The world: rotors, attitude loops and cablequad's step, held still until the release."""
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from cablequad.attitude import Airframe, Setpoint, fly
 from cablequad.dynamics import accelerations
@@ -73,9 +73,9 @@ class Plant:
         """(n, 3, 3) and (n, 3) rad/s: of the vehicles."""
         return self.state.R, self.state.Omega
 
-    def standing(self) -> npt.NDArray[np.bool_]:
-        """(n,) who stands on something."""
-        return np.full(len(self.system.m), self.held)
+    def standing(self) -> list[bool]:
+        """Who stands on something."""
+        return [self.held] * len(self.system.m)
 
     def command(self, actuation: Sequence[Actuation]) -> None:
         """What acts from now on."""
@@ -87,7 +87,7 @@ class Plant:
         if self.held:
             return
         fly(self.system, self.airframe, self._setpoint, self.state, self.h, steps, self._work)
-        if not (np.isfinite(self.state.x0).all() and np.isfinite(self.state.omega).all()):
+        if not math.isfinite(float(self.state.x0.sum()) + float(self.state.omega.sum())):
             raise PhysicsError("the motion is no longer finite; the vehicles and the load have flown apart")
 
     def kinematics(self) -> tuple[Array, Array]:
@@ -138,9 +138,10 @@ class LoosePlant:
         """(n, 3, 3) and (n, 3) rad/s: of the vehicles."""
         return self.R, self.Omega
 
-    def standing(self) -> npt.NDArray[np.bool_]:
-        """(n,) who stands on the ground."""
-        return self._standing
+    def standing(self) -> list[bool]:
+        """Who stands on the ground."""
+        stands: list[bool] = self._standing.tolist()
+        return stands
 
     def kinematics(self) -> tuple[Array, Array]:
         """(n, 3) m and (n, 3) m/s, W."""

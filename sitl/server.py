@@ -155,15 +155,19 @@ class Server:
         self._engaged = [s.lockstep and s.await_controller] * self.n
         self._controller_port = list(range(self.n))
         self._answered = [-1] * self.n
-        self._expected = [False] * self.n
+        self._expected = [False] * self.n  # of the coming tick: whose state goes to the controller
+        self._awaited = [False] * self.n  # of this one
         self._awaits_controller = s.lockstep and s.await_controller and not s.loose
         self._seen_us = -1
-        self._ahead: tuple[tuple[Array, Array], list[Snapshot]] | None = None
+        self._releasing = False
+        self._truth: Truth | None = None  # of the coming tick
+        self._own: list[Snapshot] = []
         self._missed_answers = 0
         self._missed_deadlines = 0
         self._lateness: list[float] = []
         self._pace_from: tuple[int, float] | None = None
         self._warm_up()
+        self._compose(s.tick_us)
 
     @property
     def now_us(self) -> int:
@@ -176,6 +180,7 @@ class Server:
             self._tick += 1
             self._one_tick()
             self._wait(stop)
+        self.link.flush()
         self._receive(0.0)
         return self.report()
 
@@ -235,39 +240,40 @@ class Server:
         ]
 
     def _one_tick(self) -> None:
+        """Speak, listen, move on. What is said at a tick was settled before it: what was commanded until then acted.
+
+        So the controller hears the new state as soon as its answers to the one before are in, and thinks while the
+        vehicles take those answers and the physics goes on.
+        """
         s, now = self.settings, self.now_us
+        self.link.flush()
+        self._awaited = list(self._expected)
+        if self._truth is not None:
+            self._sink(self._truth)
         for i, vehicle in enumerate(self.vehicles):
             self._deliver(i, vehicle, now)
             vehicle.tick(now)
-        if self._settle(now) or self._ahead is None:
-            self._look_ahead(now)
-        assert self._ahead is not None
-        (x, v), own = self._ahead
-        self.plant.command([vehicle.actuation(own[i]) for i, vehicle in enumerate(self.vehicles)])
-        truth = self.plant.truth(now, x, v) if isinstance(self.plant, Plant) else None
-        force: Array | None = None
-        if any(v.will_tell(HIGHRES_IMU, now) for v in self.vehicles):
+        self._settle(now)
+        self.plant.command([vehicle.actuation(own) for vehicle, own in zip(self.vehicles, self._own, strict=True)])
+        self.plant.advance(s.tick_us // s.physics_us)
+        self._compose(now + s.tick_us)
+
+    def _compose(self, now: int) -> None:
+        """Put together what is said at `now`: sensors tell what acted until then."""
+        x, v = self.plant.kinematics()
+        self._own = self._snapshots(now, x, v)
+        self._truth = self.plant.truth(now, x, v) if isinstance(self.plant, Plant) else None
+        if any(vehicle.will_tell(HIGHRES_IMU, now) for vehicle in self.vehicles):
             if isinstance(self.plant, LoosePlant):
                 force = self.plant.specific_force()
-            elif truth is not None:
-                force = self.plant.specific_force(truth)
+            else:
+                assert self._truth is not None
+                force = self.plant.specific_force(self._truth)
+            self._own = [own._replace(specific_force=force[i]) for i, own in enumerate(self._own)]
         for i, vehicle in enumerate(self.vehicles):
-            felt = own[i] if force is None else own[i]._replace(specific_force=force[i])
-            self._speak(i, vehicle, vehicle.snapshot(felt))
-        if truth is not None:
-            self._track(truth)
-        self.link.flush()  # the controller thinks while the physics goes on
-        if truth is not None:
-            self._sink(truth)
-        self.plant.advance(s.tick_us // s.physics_us)
-        self._look_ahead(now + s.tick_us)
-        for i, vehicle in enumerate(self.vehicles):
-            vehicle.prepare(self._ahead[1][i], self._audible(i))
-
-    def _look_ahead(self, now: int) -> None:
-        """What is known of the tick at `now` before its answers are in: the motion is decided a tick ahead."""
-        x, v = self.plant.kinematics()
-        self._ahead = (x, v), self._snapshots(now, x, v)
+            self._speak(i, vehicle, vehicle.snapshot(self._own[i]))
+        if self._truth is not None:
+            self._track(self._truth)
 
     def _deliver(self, i: int, vehicle: Autopilot, now: int) -> None:
         waiting = []
@@ -286,26 +292,22 @@ class Server:
     def _hand(self, i: int, vehicle: Autopilot, frame: Received, now: int) -> None:
         vehicle.handle(self._ports[i].index(frame.port), frame.system, frame.component, frame.value, now)
 
-    def _settle(self, now: int) -> bool:
-        """Release, land, go back to the start. Whether the motion was changed by hand."""
+    def _settle(self, now: int) -> None:
+        """Release, land, go back to the start. A release is told with the state that it begins from."""
         plant = self.plant
-        if plant.held:
-            if all(v.carries(now) for v in self.vehicles):
-                plant.held = False
-                self._sink(Event(now, "release", "all", "every vehicle is armed and under command: released"))
-                for channel in (*self._channels, *self._down):
-                    if channel is not None:
-                        channel.released_us = now
+        if plant.held and self._releasing:
+            plant.held = self._releasing = False
+            self._sink(Event(now, "release", "all", "every vehicle is armed and under command: released"))
+            for channel in (*self._channels, *self._down):
+                if channel is not None:
+                    channel.released_us = now
+        elif plant.held:
+            self._releasing = all(v.carries(now) for v in self.vehicles)
         elif isinstance(plant, Plant) and not any(v.armed for v in self.vehicles):
             plant.reset()
             self._sink(Event(now, "reset", "all", "every vehicle is disarmed: back to the initial state, held"))
-            for vehicle in self.vehicles:
-                vehicle.forget_prepared()
-                vehicle.set_landed(ON_GROUND)
-            return True
-        for vehicle, stands in zip(self.vehicles, plant.standing().tolist(), strict=True):
-            vehicle.set_landed(ON_GROUND if stands else IN_AIR)
-        return False
+        for vehicle, stands in zip(self.vehicles, plant.standing(), strict=True):
+            vehicle.set_landed(ON_GROUND if stands and not self._releasing else IN_AIR)
 
     def _speak(self, i: int, vehicle: Autopilot, snapshot: Snapshot) -> None:
         audible = self._audible(i)
@@ -326,7 +328,7 @@ class Server:
 
     def _audible(self, i: int) -> tuple[bool, ...]:
         """On which of vehicle i's links somebody may listen."""
-        return tuple(bool(self.link.ports[p].addresses()) for p in self._ports[i])
+        return tuple(self.link.ports[p].heard for p in self._ports[i])
 
     def _track(self, truth: Truth) -> None:
         n_links = self.settings.system.n_links
@@ -385,9 +387,11 @@ class Server:
             return
         while not stop():
             missing = [
-                i for i in range(self.n) if self._engaged[i] and self._expected[i] and self._answered[i] != now_ms
+                i for i in range(self.n) if self._engaged[i] and self._awaited[i] and self._answered[i] != now_ms
             ]
-            awaited = bool(missing) or (self._awaits_controller and not any(self._expected))
+            quiet = self._awaits_controller and not any(self._awaited)  # nobody told the controller its state
+            answered = any(self._answered[i] == now_ms for i in range(self.n))
+            awaited = bool(missing) or (quiet and not answered)
             if not awaited or self._seen_us == self.now_us:
                 self._receive(0.0)
                 return

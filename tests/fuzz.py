@@ -247,7 +247,7 @@ def check(server: Server) -> None:
     if not (np.abs(x) < 1e4).all() or not np.isfinite(v_).all():
         assert np.isfinite(x).all()
         server.plant.reset()
-    server._ahead = None
+    server.link._queue.clear()
 
 
 if __name__ == "__main__":

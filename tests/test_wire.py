@@ -302,7 +302,7 @@ class TestLink:
             got += server.poll(0.01)
         assert [f.name for f in got] == ["HEARTBEAT", "TIMESYNC"]
         server.send(0, 1, 1, encode(Heartbeat(2, 12, 1, 0, 3)))
-        server.poll(0.0)
+        server.flush()
         assert [f.name for f in client.poll(0.5)] == ["HEARTBEAT"]
         raw.close()
         server.poll(0.1)

@@ -215,13 +215,3 @@ BUILD: dict[int, Callable[[Snapshot], Packed]] = {
     mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: _cold(_battery),
     mavlink.MAVLINK_MSG_ID_HOME_POSITION: _cold(_home),
 }
-
-MOTION_ALONE = frozenset(
-    {
-        mavlink.MAVLINK_MSG_ID_ATTITUDE,
-        mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION,
-        mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
-        mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
-        mavlink.MAVLINK_MSG_ID_ODOMETRY,
-    }
-)  # what position, velocity, attitude and rates alone decide

@@ -11,7 +11,7 @@ import numpy as np
 from bridge.wire.dialect import mavlink
 from bridge.wire.frames import Packed, packed
 from bridge.wire.messages import encode, text_frames
-from bridge.wire.telemetry import BUILD, MOTION_ALONE, Snapshot
+from bridge.wire.telemetry import BUILD, Snapshot
 from bridge.wire.values import (
     ON_GROUND,
     AttitudeTarget,
@@ -125,7 +125,6 @@ class Autopilot(ABC):
         self._outbox: list[Outgoing] = []
         self._asked_for: list[tuple[int | None, int]] = []  # (link, message id) to build from the tick's snapshot
         self._param_queue: list[tuple[int, int]] = []
-        self._prepared: dict[int, Packed] = {}
         self._warned = ""
         self._texts_said = 0
         self._throttle = 0.0
@@ -294,19 +293,6 @@ class Autopilot(ABC):
             asked == msgid for _, asked in self._asked_for
         )
 
-    def prepare(self, s: Snapshot, audible: tuple[bool, ...]) -> None:
-        """Build ahead what the next tick will stream and no answer can change any more."""
-        s = s._replace(home_x=self._home)
-        for link, streams in enumerate(self.streams):
-            if audible[link]:
-                for msgid in streams.coming(s.boot_us):
-                    if msgid in MOTION_ALONE and msgid not in self._prepared:
-                        self._prepared[msgid] = BUILD[msgid](s)
-
-    def forget_prepared(self) -> None:
-        """The motion turned out otherwise."""
-        self._prepared = {}
-
     def outgoing(self, s: Snapshot, audible: tuple[bool, ...]) -> list[Outgoing]:
         """Everything to send at this tick; the attitude quaternion comes last, so that it closes the tick.
 
@@ -322,7 +308,7 @@ class Autopilot(ABC):
             for link, index in self._param_queue[:PARAMS_PER_TICK]:
                 out.append(Outgoing(link, encode(self.parameters.report(index))))
             del self._param_queue[:PARAMS_PER_TICK]
-        built, self._prepared = self._prepared, {}
+        built: dict[int, Packed] = {}
         last: list[Outgoing] = []
         for link, streams in enumerate(self.streams):
             if not audible[link]:
