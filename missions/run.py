@@ -29,6 +29,7 @@ from bridge.wire.messages import attitude_target, reread
 from bridge.wire.messages import encode as encode_message
 from bridge.wire.values import PayloadState, VehicleAttitude
 from cablequad import lie
+from cablequad.attitude import Setpoint, flown
 from cablequad.design import Design
 from cablequad.pilot import Measurement, Reference, Sample, first_memory, tick
 from logs.encode import Model
@@ -126,12 +127,13 @@ def _run(flight: Flight, design: Design, options: Options, progress: Progress) -
         if simulator is not None and math.isinf(options.speed):
             pin(-2)
         sys.setswitchinterval(SWITCH_S)
-        few_collections()
         with _interrupts() as interrupted:
             if simulator is not None and not simulator.wait_ready(lambda: not interrupted()):
                 outcome = Outcome(False, interrupted(), simulator.failure or "interrupted by the user")
                 timing = NO_TIME
             else:
+                predict_once(flight)  # the simulator has compiled it by now
+                few_collections()
                 outcome, timing = _fly(flight, design, link, watch, simulator, interrupted, progress, options.configure)
         if simulator is not None:
             simulator.stop()
@@ -249,6 +251,12 @@ def _warm_up(design: Design, flight: Flight) -> None:
         attitude_target(0, 1, (1.0, 0.0, 0.0, 0.0), 0.5),
     ):
         reread(encode_message(value))
+
+
+def predict_once(flight: Flight) -> None:
+    """Load what carries a state on by the model, which is first needed in mid-flight, when something is lost."""
+    level = Setpoint.attitude(flight.initial.R, np.zeros(len(flight.system.m)))
+    flown(flight.system, flight.airframe, level, flight.initial, flight.physics_us * 1e-6, 1)
 
 
 @contextmanager

@@ -14,7 +14,7 @@ import pickle
 import signal
 from collections import deque
 from collections.abc import Mapping, Sequence
-from multiprocessing.connection import Connection
+from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,6 +23,8 @@ import numpy as np
 from bridge.link import Received, Sent
 from bridge.wire.dialect import mavlink
 from cablequad.pilot import Sample
+from cablequad.state import State, positions
+from logs import encode
 from logs.encode import Model, Motion
 from logs.recorder import FLUSH_S, Attachment, Frame, Recorder, RecorderError
 from missions.channel import Shapes, put_sample, sample_shapes, take, take_sample
@@ -208,6 +210,15 @@ class _Ledger:
             case "perf":
                 self._recorder.perf(boot_us, *rest)
 
+    def sources(self, down: Connection) -> list[Connection]:
+        """What may have something to say."""
+        return [down] if self._truth is None else [down, self._truth]
+
+    def listen(self, ready: Sequence[object]) -> None:
+        """Take what the simulator has said, also while nothing is decided: it must never wait for us."""
+        if self._truth in ready:
+            self._take_truth()
+
     def end_truth(self, whole: bool) -> None:
         """Read to the end of what the simulator said."""
         self._read_truth(2**62)
@@ -222,13 +233,16 @@ class _Ledger:
     def _read_truth(self, until_us: int) -> None:
         """Take what the simulator says until it has spoken of `until_us`, or has no more to say."""
         while self._truth is not None and (not self._told or self._told[-1].boot_us < until_us):
-            try:
-                if not self._truth.poll(TRUTH_WAIT_S if until_us < 2**62 else 0.1):
-                    return
-                self._told += take(self._truth.recv_bytes(), *self._shape)
-            except (EOFError, OSError):
-                self._truth = None
+            if not self._truth.poll(TRUTH_WAIT_S if until_us < 2**62 else 0.1):
                 return
+            self._take_truth()
+
+    def _take_truth(self) -> None:
+        assert self._truth is not None
+        try:
+            self._told += take(self._truth.recv_bytes(), *self._shape)
+        except (EOFError, OSError):
+            self._truth = None
 
     def _tell_truth(self, answered_us: int) -> None:
         self._answered_us = answered_us
@@ -260,6 +274,16 @@ class _Ledger:
                 self._recorder.plant_event(boot_us, "taut", f"cable {i + 1}", "every link pulls again")
 
 
+def _encode_once(model: Model) -> None:
+    """Compile what encoding calls before anybody waits for it."""
+    n, L = model.system.length.shape
+    hanging, still = State.hanging(model.system), np.zeros((n, 3))
+    motion = Motion(hanging, still, still, np.zeros((n, L)), np.zeros(n))
+    encode.plant(0, True, motion)
+    encode.transforms(model, motion, 0, True)
+    positions(model.system, hanging)
+
+
 def _child(opening: Opening, down: Connection, up: Connection, truth: Connection) -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)  # the bridge's end of the pipe decides
@@ -273,12 +297,15 @@ def _child(opening: Opening, down: Connection, up: Connection, truth: Connection
     except RecorderError as error:
         up.send(str(error))
         return
+    _encode_once(opening.model)
     up.send("ready")
     ledger = _Ledger(recorder, opening.model, truth)
     told_error = False
     while True:
         try:
-            if not down.poll(FLUSH_S):
+            ready = wait(ledger.sources(down), FLUSH_S)
+            ledger.listen(ready)
+            if down not in ready:
                 recorder.idle()
                 continue
             batch = pickle.loads(down.recv_bytes())
