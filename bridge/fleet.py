@@ -5,7 +5,7 @@ it waits for is seen, and gives up after `GIVE_UP_S` with one line that names th
 judged by HEARTBEAT alone. Times are seconds of the vehicles' clock.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from enum import IntEnum
 from typing import Any, NamedTuple
 
@@ -49,6 +49,7 @@ class Profile(NamedTuple):
     hold: tuple[str, int, tuple[float, ...]]
     parameters: tuple[str, ...]  # that decide what a setpoint means
     arming_s: float  # that its estimator may need after boot, and some
+    law: Callable[[float, Mapping[str, float]], ThrustLaw]  # of its greatest thrust, N, and those parameters
 
 
 PROFILES = {
@@ -58,6 +59,7 @@ PROFILES = {
         ("HOLD", 4 << 16 | 3 << 24, (1.0, 4.0, 3.0)),
         ("THR_MDL_FAC",),
         10.0,
+        lambda limit_N, known: MotorCommand(limit_N, known.get("THR_MDL_FAC", 0.0)),
     ),
     mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: Profile(
         "ArduCopter",
@@ -65,6 +67,7 @@ PROFILES = {
         ("BRAKE", 17, (1.0, 17.0)),
         ("GUID_OPTIONS", "ATC_ANGLE_BOOST"),
         60.0,
+        lambda limit_N, known: LinearShare(limit_N, known.get("ATC_ANGLE_BOOST", 1.0) != 0.0),
     ),
 }
 
@@ -313,11 +316,8 @@ class Fleet:
             self._answers.append(Request(v.system, ParamSet(v.system, 1, value.name, wish, value.type)))
             return  # the vehicle's answer to this one says whether it took it
         v.parameters[value.name] = number
-        limit = self._max_thrust_N[v.system - 1]
-        if v.profile is not None and v.profile.name == "PX4":
-            self._laws[v.system - 1] = MotorCommand(limit, v.parameters.get("THR_MDL_FAC", 0.0))
-        else:
-            self._laws[v.system - 1] = LinearShare(limit, v.parameters.get("ATC_ANGLE_BOOST", 1.0) != 0.0)
+        if v.profile is not None:
+            self._laws[v.system - 1] = v.profile.law(self._max_thrust_N[v.system - 1], v.parameters)
 
     def _clock(self, v: _Vehicle, boot_ms: int) -> None:
         if boot_ms < v.clock_ms - REBOOT_MS and v.stage < Stage.HOLD:

@@ -72,7 +72,8 @@ def table(s: Summary) -> None:
     if s.predicted_ticks:
         out.add_row("states partly predicted", str(s.predicted_ticks), "")
     if s.thrust_scale:
-        made = ", ".join(f"{k['scale']:.4f} +- {k['error']:.4f}" for k in s.thrust_scale)
+        error = max(k["error"] for k in s.thrust_scale)
+        made = ", ".join(f"{k['scale']:.4f}" for k in s.thrust_scale) + f" +- {error:.0e}"
         out.add_row("thrust made / asked", made, "")
     out.add_row("real-time factor", _of(s.real_time_factor, "{:.2f}"), "")
     if s.jitter_us is not None:

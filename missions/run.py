@@ -109,7 +109,7 @@ def _run(flight: Flight, design: Design, options: Options, progress: Progress) -
     link = Link(_endpoints(n, options), signer)
     simulator: Simulator | None = None
     scribe: Scribe | None = None
-    processors = os.sched_getaffinity(0)
+    processors = os.sched_getaffinity(0) if sys.platform == "linux" else set()
     before, thresholds = sys.getswitchinterval(), gc.get_threshold()
     try:
         scribe = Scribe(_opening(flight, design, options))
@@ -158,7 +158,8 @@ def _run(flight: Flight, design: Design, options: Options, progress: Progress) -
         return summary._replace(log=str(path)), outcome.interrupted
     finally:
         sys.setswitchinterval(before)
-        os.sched_setaffinity(0, processors)
+        if sys.platform == "linux":
+            os.sched_setaffinity(0, processors)
         gc.set_threshold(*thresholds)
         gc.unfreeze()
         if simulator is not None:

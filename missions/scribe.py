@@ -12,6 +12,7 @@ import multiprocessing
 import os
 import pickle
 import signal
+import sys
 from collections import deque
 from collections.abc import Mapping, Sequence
 from multiprocessing.connection import Connection, wait
@@ -64,9 +65,10 @@ class Scribe:
         down, self._down = context.Pipe(duplex=False)
         self._up, up = context.Pipe(duplex=False)
         truth, self.truth_end = context.Pipe(duplex=False)
-        for pipe in (self._down, self.truth_end):
-            with contextlib.suppress(OSError):
-                fcntl.fcntl(pipe.fileno(), fcntl.F_SETPIPE_SZ, PIPE_BYTES)
+        if sys.platform == "linux":  # elsewhere pipes keep the size they have
+            for pipe in (self._down, self.truth_end):
+                with contextlib.suppress(OSError):
+                    fcntl.fcntl(pipe.fileno(), fcntl.F_SETPIPE_SZ, PIPE_BYTES)
         self.error: str | None = None
         self._batch: list[tuple] = []
         self._shapes_told = False

@@ -10,8 +10,9 @@ from rich.table import Table
 
 from missions.scenario import Flight
 from missions.simulate import Serving, settings
+from sitl.places import places, tracker_endpoints
 from sitl.plant import Truth
-from sitl.server import Event, Server, places, tracker_endpoints
+from sitl.server import Event, Server
 
 
 def serve(flight: Flight, serving: Serving) -> None:

@@ -5,6 +5,7 @@ import gc
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable
 from multiprocessing.connection import Connection
@@ -74,8 +75,9 @@ def pin(which: int) -> None:
     Loopback keeps the order of datagrams to different sockets only while their sender does not move; in lockstep a run
     is the same every time only if a tick's last datagram is the last to arrive.
     """
-    allowed = sorted(os.sched_getaffinity(0))
-    os.sched_setaffinity(0, {allowed[which % len(allowed)]})
+    if sys.platform == "linux":
+        allowed = sorted(os.sched_getaffinity(0))
+        os.sched_setaffinity(0, {allowed[which % len(allowed)]})
 
 
 def few_collections() -> None:

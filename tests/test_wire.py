@@ -157,6 +157,19 @@ def test_the_quick_codec_and_pymavlink_make_the_same_bytes(v: list[float], boot_
         assert frame(encode(value), 77, 9, 1) == pymavlinks(value)
 
 
+@pytest.mark.parametrize(("frame_kind", "place"), [(6, (47.5, -8.25)), (1, (12.5, -3.25))])
+def test_command_int_asks_what_command_long_does(frame_kind: int, place: tuple[float, float]) -> None:
+    """Its integers are degrees in 1e-7 in global frames, metres in 1e-4 in local ones."""
+    scale = 1e7 if frame_kind == 6 else 1e4
+    whole = packed(
+        mavlink.MAVLink_command_int_message(
+            3, 1, frame_kind, 400, 0, 0, 1.0, 21196.0, 0.0, 0.5, round(place[0] * scale), round(place[1] * scale), 9.0
+        )
+    )
+    asked = reread(whole)
+    assert asked == Command(3, 1, 400, (1.0, 21196.0, 0.0, 0.5, pytest.approx(place[0]), pytest.approx(place[1]), 9.0))
+
+
 def test_signed_frames_are_those_of_pymavlink() -> None:
     key = bytes(range(32))
     signer, codec = Signer(key), mavlink.MAVLink(None, 9, 1)
