@@ -34,10 +34,10 @@ from cablequad.dynamics import (
     kinetic_energy,
 )
 from cablequad.integrate import Command, Scratch, _finish, _stage, advance, scratch
-from cablequad.pilot import Reference
 from cablequad.rollout import Timing, rollout
 from cablequad.state import State, positions
 from cablequad.system import Cable, Payload, Quadrotor, System
+from cablequad.trajectory import Reference
 from missions.batch import spread
 
 SIZES = [(4, 5), (4, 20), (4, 80), (16, 10), (64, 50)]

@@ -12,7 +12,8 @@ from bridge.thrust import ThrustScale, made_thrust_N
 from bridge.wire.messages import WireError, encode
 from bridge.wire.values import Imu, PayloadState, Timesync
 from cablequad.design import Design
-from cablequad.pilot import Measurement, Memory, Reference, Sample, first_memory, tick
+from cablequad.pilot import Measurement, Memory, Sample, first_memory, tick
+from cablequad.trajectory import Reference
 
 PROCESS_ANYWAY_S = 0.5  # wall clock: frames that complete no state are acted on after this long all the same
 SILENT_S = 3.0  # wall clock without a single frame
@@ -195,7 +196,8 @@ class _Flight:
     def _answer(self, instant: Instant, arrived: float) -> Sample:
         now = instant.boot_ms * 1e-3
         t = max(0.0, self.flown)
-        self.memory, sample = tick(self.memory, Measurement(t, instant.state), self.plan.reference(t), self.design)
+        measured = Measurement(t, instant.state, held=not self.fleet.flying)
+        self.memory, sample = tick(self.memory, measured, self.plan.reference(t), self.design)
         try:
             setpoints = self.fleet.setpoints(sample, instant.boot_ms)
         except WireError as error:  # nothing that is not finite goes out; the vehicles' own failsafes take over

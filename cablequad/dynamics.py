@@ -7,6 +7,7 @@ its judge. Forces are the quadrotors' u_i = -f_i R_i e3 in the world frame, N.
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from cablequad import lie
 from cablequad._jit import inlined, jit
@@ -33,14 +34,27 @@ class Workspace(NamedTuple):
     S: Array  # (6, 7): the payload's system, augmented
     b: Array  # (n, 3) m/s^2, payload frame: Omega0 x (Omega0 x rho_i)
     p: Array  # (n, 3), payload frame: direction of the last link
+    loaded: npt.NDArray[np.bool_]  # (1,) whether forces from outside act; they are what follows, 0 otherwise
+    on_payload: Array  # (3,) N, W, at the centre of mass
+    on_nodes: Array  # (n, L, 3) N, W, at the payload-side end of each link
 
 
-def accelerations(system: System, state: State, force: Array) -> Accelerations:
-    """Accelerations and tensions of `state` under `force` (n, 3) N, W."""
+def accelerations(
+    system: System, state: State, force: Array, on_payload: Array | None = None, on_nodes: Array | None = None
+) -> Accelerations:
+    """Accelerations and tensions of `state` under `force` (n, 3) N, W, at the vehicles.
+
+    From outside may act: (3,) N, W, at the payload's centre of mass and (n, L, 3) at the payload-side ends of links.
+    """
     n, L = system.length.shape
+    work = workspace(system)
+    if on_payload is not None or on_nodes is not None:
+        work.loaded[0] = True
+        work.on_payload[:] = 0.0 if on_payload is None else on_payload
+        work.on_nodes[:] = 0.0 if on_nodes is None else on_nodes
     out = Accelerations(np.empty(3), np.empty(3), np.zeros((n, L, 3)), np.zeros((n, L)))
     at = State(*(np.ascontiguousarray(a, dtype=float) for a in state))
-    accelerate(system, at, np.ascontiguousarray(force, dtype=float), out, workspace(system))
+    evaluate(system, at, np.ascontiguousarray(force, dtype=float), out, work)
     return out
 
 
@@ -49,8 +63,9 @@ def workspace(system: System) -> Workspace:
     """Scratch arrays for `accelerate`."""
     n, L = system.length.shape
     return Workspace(
-        np.zeros((n, L)), np.zeros((n, L)), np.zeros((n, L)), np.zeros((6, 7)), np.zeros((n, 3)), np.zeros((n, 3))
-    )
+        np.zeros((n, L)), np.zeros((n, L)), np.zeros((n, L)), np.zeros((6, 7)), np.zeros((n, 3)), np.zeros((n, 3)),
+        np.zeros(1, dtype=np.bool_), np.zeros(3), np.zeros((n, L, 3)),
+    )  # fmt: skip
 
 
 @inlined
@@ -64,6 +79,12 @@ def accelerate(system: System, state: State, force: Array, out: Accelerations, w
     _sweep_down(system, state, force, work)
     _solve_payload(system, state, out, work)
     _sweep_up(system, state, force, out, work)
+
+
+@jit
+def evaluate(system: System, state: State, force: Array, out: Accelerations, work: Workspace) -> None:
+    """`accelerate` as a function of its own: where it is called once, merging it in would only cost compile time."""
+    accelerate(system, state, force, out, work)
 
 
 @inlined
@@ -84,6 +105,13 @@ def _sweep_down(system: System, state: State, force: Array, work: Workspace) -> 
                 diagonal -= factor * e
                 rhs += factor * work.rhs[i, j - 1]
                 work.coupling[i, j] = e
+            if work.loaded[0]:
+                if j > 0:
+                    F = work.on_nodes[i, j - 1]
+                    rhs -= system.inv_node[i, j] * (q[0] * F[0] + q[1] * F[1] + q[2] * F[2])
+                if j + 1 < N:
+                    F = work.on_nodes[i, j]
+                    rhs += system.inv_node[i, j + 1] * (q[0] * F[0] + q[1] * F[1] + q[2] * F[2])
             work.pivot[i, j] = diagonal
             work.rhs[i, j] = rhs
 
@@ -117,6 +145,11 @@ def _solve_payload(system: System, state: State, out: Accelerations, work: Works
         l0, l1, l2 = r[1] * p[2] - r[2] * p[1], r[2] * p[0] - r[0] * p[2], r[0] * p[1] - r[1] * p[0]
         line = (p[0], p[1], p[2], l0, l1, l2)
         f0, f1, f2 = -tension * p[0] - m * b[0], -tension * p[1] - m * b[1], -tension * p[2] - m * b[2]
+        if work.loaded[0]:
+            F = work.on_nodes[i, last]
+            f0 += R0[0, 0] * F[0] + R0[1, 0] * F[1] + R0[2, 0] * F[2]
+            f1 += R0[0, 1] * F[0] + R0[1, 1] * F[1] + R0[2, 1] * F[2]
+            f2 += R0[0, 2] * F[0] + R0[1, 2] * F[1] + R0[2, 2] * F[2]
         S[0, 6] += f0
         S[1, 6] += f1
         S[2, 6] += f2
@@ -141,6 +174,10 @@ def _solve_payload(system: System, state: State, out: Accelerations, work: Works
         S[4, 2] -= m * r[0]
         S[5, 0] -= m * r[1]
         S[5, 1] += m * r[0]
+    if work.loaded[0]:
+        F = work.on_payload
+        for a in range(3):
+            S[a, 6] += R0[0, a] * F[0] + R0[1, a] * F[1] + R0[2, a] * F[2]
     _solve_spd(S)
     for a in range(3):
         out.x0_ddot[a] = R0[a, 0] * S[0, 6] + R0[a, 1] * S[1, 6] + R0[a, 2] * S[2, 6]
@@ -195,6 +232,9 @@ def _sweep_up(system: System, state: State, force: Array, out: Accelerations, wo
                 u = state.q[i, j - 1]
                 T = (work.rhs[i, j - 1] + work.coupling[i, j] * T) / work.pivot[i, j - 1]
                 c0, c1, c2 = c0 - T * u[0], c1 - T * u[1], c2 - T * u[2]
+                if work.loaded[0]:
+                    F = work.on_nodes[i, j - 1]
+                    c0, c1, c2 = c0 + F[0], c1 + F[1], c2 + F[2]
             else:
                 c0, c1, c2 = c0 + force[i, 0], c1 + force[i, 1], c2 + force[i, 2]
             c0, c1, c2 = c0 * inv_m, c1 * inv_m, c2 * inv_m

@@ -49,6 +49,7 @@ class Scratch(NamedTuple):
     acc: Accelerations
     Omega_dot: Array  # (n, 3) rad/s^2, quadrotors
     force: Array  # (n, 3) N, W
+    on_vehicles: Array  # (n, 3) N, W: from outside, held over a step
     work: Workspace
 
 
@@ -69,7 +70,16 @@ def scratch(system: System, state: State) -> Scratch:
     stage = State(
         s.x0.copy(), s.v0.copy(), s.R0.copy(), s.Omega0.copy(), s.q.copy(), s.omega.copy(), s.R.copy(), s.Omega.copy()
     )
-    return Scratch(stage, _tangent(n, L), _tangent(n, L), acc, np.zeros((n, 3)), np.zeros((n, 3)), workspace(system))
+    return Scratch(
+        stage,
+        _tangent(n, L),
+        _tangent(n, L),
+        acc,
+        np.zeros((n, 3)),
+        np.zeros((n, 3)),
+        np.zeros((n, 3)),
+        workspace(system),
+    )
 
 
 @jit
@@ -113,7 +123,8 @@ def _derive(system: System, at: State, command: Command, s: Scratch) -> None:
     for i in range(system.m.shape[0]):
         R, O, J, Ji = at.R[i], at.Omega[i], system.J[i], system.J_inv[i]
         f = command.thrust[i]
-        s.force[i, 0], s.force[i, 1], s.force[i, 2] = -f * R[0, 2], -f * R[1, 2], -f * R[2, 2]
+        for a in range(3):
+            s.force[i, a] = s.on_vehicles[i, a] - f * R[a, 2]
         h0 = J[0, 0] * O[0] + J[0, 1] * O[1] + J[0, 2] * O[2]
         h1 = J[1, 0] * O[0] + J[1, 1] * O[1] + J[1, 2] * O[2]
         h2 = J[2, 0] * O[0] + J[2, 1] * O[1] + J[2, 2] * O[2]

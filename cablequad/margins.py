@@ -6,8 +6,9 @@ import numpy as np
 from scipy import linalg
 
 from cablequad.attitude import Airframe
-from cablequad.design import Design, flown_model, state_space
+from cablequad.design import Design, loop_gains, sampled_loop, state_space
 from cablequad.linear import linearize
+from cablequad.reach import coordinate_names
 from cablequad.system import System
 from cablequad.types import Array
 
@@ -36,14 +37,6 @@ class Margins(NamedTuple):
     delay_ticks_all: int  # whole ticks of extra delay on every input that the loop survives
 
 
-def coordinates(system: System) -> list[str]:
-    """Names of the coordinates of x."""
-    out = ["load x", "load y", "load z", "load roll", "load pitch", "load yaw"]
-    for i, k in enumerate(system.n_links.tolist()):
-        out += [f"cable {i + 1} link {j + 1} about {axis}" for j in range(k) for axis in "xy"]
-    return out
-
-
 def modes(system: System) -> list[Mode]:
     """Open-loop poles with their PBH margins, the weakest first; conjugates and repeated poles are listed once.
 
@@ -53,7 +46,7 @@ def modes(system: System) -> list[Mode]:
     A, B = state_space(system)
     M, _, _ = linearize(system)
     D = len(M)
-    names = coordinates(system)
+    names = coordinate_names(system)
     scale = max(1.0, float(np.abs(np.linalg.eigvals(A)).max()))
     out: list[Mode] = []
     for value in sorted(np.linalg.eigvals(A), key=lambda v: (abs(v), v.real)):
@@ -66,21 +59,16 @@ def modes(system: System) -> list[Mode]:
     return sorted(out, key=lambda mode: mode.pbh)
 
 
-def gain_matrix(design: Design) -> Array:
-    """All gains side by side, as the sampled model orders its states."""
-    return np.hstack([design.K_x, design.K_xdot, design.K_phi, design.K_phidot, design.K_way])
-
-
 def closed_loop_poles(design: Design, airframe: Airframe, period: float, delay: int) -> Array:
     """Poles of the sampled loop as flown (in z). A design without a model of delay flies with it all the same."""
-    A, B = flown_model(design.system, airframe, period, delay)
-    return np.asarray(np.linalg.eigvals(A - B @ _full(gain_matrix(design), A)))
+    loop = sampled_loop(design.system, airframe, period, delay)
+    return np.asarray(np.linalg.eigvals(loop.A - loop.B @ loop_gains(design, loop)))
 
 
 def margins(design: Design, airframe: Airframe, period: float, delay: int) -> Margins:
     """Margins of the sampled loop; zero margins where the loop is not stable to begin with."""
-    A, B = flown_model(design.system, airframe, period, delay)
-    K = _full(gain_matrix(design), A)
+    loop = sampled_loop(design.system, airframe, period, delay)
+    A, B, K = loop.A, loop.B, loop_gains(design, loop)
     m = B.shape[1]
     if np.abs(np.linalg.eigvals(A - B @ K)).max() >= 1:
         return Margins(1.0, 1.0, 0.0, 0.0, "the loop itself is unstable", 0.0, (1.0, 1.0), 0.0, -1)
@@ -115,14 +103,6 @@ def _frequencies(system: System, period: float) -> Array:
     return np.unique(w[w <= nyquist])
 
 
-def _full(K: Array, A: Array) -> Array:
-    """Gains for a model with more states than the design has: what it does not know of is not fed back."""
-    out = np.zeros((len(K), len(A)))
-    k = min(K.shape[1], len(A))
-    out[:, :k] = K[:, :k]
-    return out
-
-
 def _siso(L: Array, w: Array) -> tuple[float, float, float, float]:
     """Gain margins up and down (factors), phase margin (deg) and delay margin (s) of one loop."""
     up, down = np.inf, 0.0
@@ -148,7 +128,6 @@ def _siso(L: Array, w: Array) -> tuple[float, float, float, float]:
 def _extra_ticks(design: Design, airframe: Airframe, period: float, delay: int) -> int:
     """How many ticks more of delay, unknown to the design, the loop survives (up to 25)."""
     for extra in range(1, 26):
-        A, B = flown_model(design.system, airframe, period, delay + extra)
-        if np.abs(np.linalg.eigvals(A - B @ _full(gain_matrix(design), A))).max() >= 1:
+        if np.abs(closed_loop_poles(design, airframe, period, delay + extra)).max() >= 1:
             return extra - 1
     return 25

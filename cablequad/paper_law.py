@@ -68,7 +68,7 @@ def commands(design: Design, gains: Gains, x0_d: Array, state: State) -> tuple[C
             for i in range(n)
         ]
     )
-    return Command(np.clip(f, 0.0, design.max_thrust), M), frames
+    return Command(np.clip(f, 0.0, design.airframe.max_thrust), M), frames
 
 
 def _pack(design: Design, x0: Array, attitude: Array, links: Array) -> Array:

@@ -8,8 +8,9 @@ from cablequad.design import Design
 from cablequad.geometric import AttitudeCommand
 from cablequad.integrate import scratch, step
 from cablequad.paper_law import Gains, commands
-from cablequad.pilot import Measurement, Reference, Sample, first_memory, tick
+from cablequad.pilot import Measurement, Sample, first_memory, tick
 from cablequad.state import State
+from cablequad.trajectory import Reference
 from cablequad.types import Array
 
 HELD_TICKS = 200
@@ -40,9 +41,9 @@ def rollout(
     h = timing.period / timing.steps
     state = initial.copy()
     work = scratch(system, state)
-    memory, sample = tick(first_memory(design), Measurement(0.0, initial), plan(0.0), design)
+    memory, sample = tick(first_memory(design), Measurement(0.0, initial, held=True), plan(0.0), design)
     for _ in range(HELD_TICKS):
-        memory, sample = tick(memory, Measurement(0.0, initial), plan(0.0), design)
+        memory, sample = tick(memory, Measurement(0.0, initial, held=True), plan(0.0), design)
     under_way = [Setpoint.attitude(sample.R_c, sample.f)] * timing.delay
     for k in range(ticks + 1):
         t = k * timing.period

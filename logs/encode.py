@@ -74,18 +74,31 @@ def control(boot_us: int, sample: Sample, tension: Sequence[float], flying: bool
         Psi=_list(sample.Psi), e_Omega=_list(s.Omega),
         e_q=sample.e_q, e_w=sample.e_omega, ideal_force=_list(sample.A), thrust=_list(sample.f),
         attitude=_quats(sample.R_c), under_way=_list(sample.memory.under_way), state_age=age_s,
+        lasting=_list(sample.memory.lasting), calm=float(sample.memory.calm[0]),
         position=_list(s.x0), velocity=_list(s.v0), tension=tension,
         payload_attitude=_list(lie.quat_from_rotation(s.R0)),
         quad_attitude=_quats(s.R), link_direction=_list(s.q),
     )  # fmt: skip
 
 
-def reference(boot_us: int, model: Model, sample: Sample) -> Any:
+def estimate(boot_us: int, sample: Sample, true: State) -> Any:
+    """/control/estimate."""
+    s = sample.state
+    cosine = np.clip(np.sum(s.q * true.q, axis=-1), -1.0, 1.0)
+    return pb.EstimateError(
+        sim_time_ns=boot_us * 1000, position=_list(s.x0 - true.x0), velocity=_list(s.v0 - true.v0),
+        attitude=_list(lie.log(true.R0.T @ s.R0)), rate=_list(s.Omega0 - true.Omega0),
+        link_direction=_list(np.arccos(cosine)), link_rate=_list(np.linalg.norm(s.omega - true.omega, axis=-1)),
+    )  # fmt: skip
+
+
+def reference(boot_us: int, sample: Sample) -> Any:
     """/control/reference."""
     r = sample.reference
     return pb.ControlReference(
         sim_time_ns=boot_us * 1000, payload_position=_list(r.x0), payload_velocity=_list(r.v0),
-        payload_attitude=model.target_quat_wxyz, link_direction=(0.0, 0.0, 1.0),
+        payload_attitude=_list(lie.quat_from_rotation(sample.R_0d)), link_direction=_list(sample.q_d),
+        payload_acceleration=_list(r.a0), yaw=_list(r.yaw),
     )  # fmt: skip
 
 

@@ -20,6 +20,7 @@ from mcap.writer import CompressionType, Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from cablequad.pilot import Sample
+from cablequad.state import State
 from cablequad.types import Array
 from logs import encode
 from logs.encode import Model, Motion
@@ -61,6 +62,7 @@ _TYPES: dict[str, Any] = {
     "/plant/state": pb.PlantState,
     "/control/state": pb.ControlState,
     "/control/reference": pb.ControlReference,
+    "/control/estimate": pb.EstimateError,
     "/tf": FrameTransforms,
     "/scene": SceneUpdate,
     "/log": Log,
@@ -131,9 +133,22 @@ class Recorder:
         """Frames that came in ("rx") or went out ("tx")."""
         self._put(lambda: self._frames_of(boot_us, direction, frames))
 
-    def decided(self, boot_us: int, sample: Sample, tension: list[float], flying: bool, age_s: float = 0.0) -> None:
-        """A control decision; `age_s` is that of the oldest measurement that its state rests on."""
+    def decided(
+        self,
+        boot_us: int,
+        sample: Sample,
+        tension: list[float],
+        flying: bool,
+        age_s: float = 0.0,
+        true: State | None = None,
+    ) -> None:
+        """A control decision; `age_s` is that of the oldest measurement that its state rests on.
+
+        `true` is the state that it was made in, where a simulator told it: errors of the estimate go beside it.
+        """
         self._put(lambda: self._decided(boot_us, sample, tension, flying, age_s))
+        if true is not None:
+            self._put(lambda: self._write("/control/estimate", boot_us, encode.estimate(boot_us, sample, true)))
 
     def event(self, boot_us: int, kind: str, subject: str, text: str) -> None:
         """Something worth a line."""
@@ -265,7 +280,7 @@ class Recorder:
 
     def _decided(self, boot_us: int, sample: Sample, tension: list[float], flying: bool, age_s: float) -> None:
         self._write("/control/state", boot_us, encode.control(boot_us, sample, tension, flying, age_s))
-        self._write("/control/reference", boot_us, encode.reference(boot_us, self._model, sample))
+        self._write("/control/reference", boot_us, encode.reference(boot_us, sample))
         if not self._with_truth:
             thrust: Array = sample.f
             self._frames(boot_us, encode.measured_motion(self._model, sample, tension, thrust))

@@ -7,8 +7,9 @@ from typing import Protocol
 
 import numpy as np
 
-from cablequad.pilot import Memory, Reference, Sample
+from cablequad.pilot import Memory, Sample
 from cablequad.state import Error, State
+from cablequad.trajectory import Reference
 from cablequad.types import Array
 from sitl.plant import Truth
 from sitl.server import Event, Report
@@ -78,13 +79,13 @@ def take_sample(data: bytes, shapes: Shapes) -> Sample:
     """The decision in `data`."""
     numbers, *a = _split(np.frombuffer(data), shapes)
     t, Psi_0, e_q, e_omega = numbers.tolist()
-    state, reference, memory, error = State(*a[:8]), Reference(*a[8:10]), Memory(*a[10:12]), Error(*a[12:14])
-    A, R_c, f, Psi = a[14:]
-    return Sample(t, state, reference, memory, error, A, R_c, f, Psi_0, Psi, e_q, e_omega)
+    state, reference, memory, error = State(*a[:8]), Reference(*a[8:14]), Memory(*a[14:19]), Error(*a[19:21])
+    A, R_c, f, Psi, R_0d, q_d = a[21:]
+    return Sample(t, state, reference, memory, error, A, R_c, f, Psi_0, Psi, e_q, e_omega, R_0d, q_d)
 
 
 def _arrays(s: Sample) -> tuple[Array, ...]:
-    return (*s.state, *s.reference, *s.memory, *s.error, s.A, s.R_c, s.f, s.Psi)
+    return (*s.state, *s.reference, *s.memory, *s.error, s.A, s.R_c, s.f, s.Psi, s.R_0d, s.q_d)
 
 
 def _split(flat: Array, shapes: Sequence[tuple[int, ...]]) -> list[Array]:

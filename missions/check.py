@@ -13,10 +13,11 @@ from cablequad.certificate import attitude_gains, certify, higher_order_slope
 from cablequad.design import Design, Weights, continuous_law
 from cablequad.linear import equilibrium
 from cablequad.margins import WEAK, closed_loop_poles, margins, modes
-from cablequad.pilot import Reference, Sample
+from cablequad.pilot import Sample
 from cablequad.rollout import Timing, rollout
 from cablequad.state import State
 from cablequad.stiffness import stiffest_mode
+from cablequad.trajectory import at
 from missions import scenario as scenarios
 from missions.batch import spread
 from missions.scenario import Flight
@@ -97,8 +98,9 @@ def check(flight: Flight, quick: bool) -> dict[str, Any]:
     return out
 
 
-def _target(flight: Flight) -> Reference:
-    return Reference(np.array(flight.scenario.target.position_m), np.zeros(3))
+def _paper_law(flight: Flight, weights: Weights) -> Design:
+    period, delay = flight.control_us * 1e-6, flight.scenario.control.delay_ticks
+    return continuous_law(flight.system, flight.airframe, weights, period, delay)
 
 
 def _nominal(design: Design, flight: Flight) -> list[Sample]:
@@ -106,8 +108,7 @@ def _nominal(design: Design, flight: Flight) -> list[Sample]:
     period = flight.control_us * 1e-6
     timing = Timing(period, flight.control_us // flight.physics_us, flight.scenario.control.delay_ticks)
     ticks = round(min(10.0, flight.scenario.duration_s) / period)
-    target = _target(flight)
-    return list(rollout(design, flight.airframe, lambda _: target, flight.initial, timing, ticks))
+    return list(rollout(design, flight.airframe, lambda t: at(flight.trajectory, t), flight.initial, timing, ticks))
 
 
 def _largest_rate(samples: list[Sample], period: float) -> float:
@@ -120,7 +121,7 @@ def _largest_rate(samples: list[Sample], period: float) -> float:
 def _certificate(flight: Flight, nominal: dict[str, float], quick: bool) -> dict[str, Any]:
     """Proposition 3 for the paper's law with this scenario's weights, against what the nominal flight needs."""
     weights = scenarios.weights(flight)
-    design = continuous_law(flight.system, weights, flight.airframe.max_thrust)
+    design = _paper_law(flight, weights)
     rate = nominal["largest_commanded_rate_rad_s"]
     gains = attitude_gains(flight.system, flight.airframe, rate)
     c = certify(design, weights, gains)
@@ -201,7 +202,7 @@ def _advice(
         rows = []
         for factor in FORCE_FACTORS:
             scaled = weights._replace(force=weights.force * factor)
-            design = continuous_law(flight.system, scaled, flight.airframe.max_thrust)
+            design = _paper_law(flight, scaled)
             c = certify(design, scaled, attitude_gains(flight.system, flight.airframe, rate))
             rows.append((c.psi_1_max, factor))
         best, factor = max(rows)
@@ -259,7 +260,7 @@ def _reach(design: Design, flight: Flight, direction: int) -> dict[str, Any]:
 def _settles(design: Design, flight: Flight, start: State) -> bool:
     period = flight.control_us * 1e-6
     timing = Timing(period, flight.control_us // flight.physics_us, flight.scenario.control.delay_ticks)
-    target = _target(flight)
+    target = Reference(np.array(flight.scenario.target.position_m), np.zeros(3))
     last: Sample | None = None
     for last in rollout(design, flight.airframe, lambda _: target, start, timing, round(SETTLE_S / period)):
         if not np.isfinite(last.e_omega) or last.e_omega > 1e4:

@@ -61,6 +61,11 @@ def table(s: Summary) -> None:
     out.add_column()
     out.add_row("reason", "", s.reason)
     out.add_row("final position error", _of(s.final_position_error_m, "{:.4f} m"), limit("position_error_m"))
+    out.add_row("rms tracking error", _of(s.rms_tracking_error_m, "{:.4f} m"), limit("rms_tracking_error_m"))
+    out.add_row("mean error, last 10 s", _of(s.mean_position_error_m, "{:.4f} m"), limit("mean_position_error_m"))
+    if (s.link_direction_error_deg or 0.0) > 0.01:
+        shown = _of(s.link_direction_error_deg, "{:.2f} deg")
+        out.add_row("link directions estimated to", shown, limit("link_direction_error_deg"))
     out.add_row("final speed", _of(s.final_speed_m_s, "{:.4f} m/s"), limit("speed_m_s"))
     out.add_row("settled within 5 cm at", _of(s.settling_time_s, "{:.2f} s"), limit("settling_time_s"))
     out.add_row("final link error e_q", _of(s.final_e_q, "{:.4f}"), limit("e_q"))

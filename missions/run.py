@@ -31,7 +31,8 @@ from bridge.wire.values import PayloadState, VehicleAttitude
 from cablequad import lie
 from cablequad.attitude import Setpoint, flown
 from cablequad.design import Design
-from cablequad.pilot import Measurement, Reference, Sample, first_memory, tick
+from cablequad.pilot import Measurement, Sample, first_memory, tick
+from cablequad.trajectory import at
 from logs.encode import Model
 from logs.recorder import Attachment, RecorderError
 from missions import scenario as scenarios
@@ -73,9 +74,9 @@ class Progress:
 class _Watch:
     """Passes everything on to the scribe and keeps the figures of what was decided."""
 
-    def __init__(self, scribe: Scribe) -> None:
+    def __init__(self, scribe: Scribe, track: Track) -> None:
         self.scribe = scribe
-        self.track = Track()
+        self.track = track
         self.ended = False
         self.tallies: list[Tally] = []  # of the faulty links to the controller
         self.received, self.sent, self.perf = scribe.received, scribe.sent, scribe.perf
@@ -122,7 +123,7 @@ def _run(flight: Flight, design: Design, options: Options, progress: Progress) -
             simulator = Simulator(settings(flight, serving), scribe.truth_end)
             progress.say("starting the vehicles (the first start on a machine compiles the model: about half a minute)")
         scribe.wait_ready()
-        watch = _Watch(scribe)
+        watch = _Watch(scribe, _track(flight))
         _warm_up(design, flight)
         if simulator is not None and math.isinf(options.speed):
             pin(-2)
@@ -139,15 +140,15 @@ def _run(flight: Flight, design: Design, options: Options, progress: Progress) -
             simulator.stop()
             while after := link.poll(0.0):  # what was still on its way is counted too
                 timing = timing._replace(unread=timing.unread + len(after))
-        true_tension_N = scribe.smallest_tension_N(outcome.completed)
-        if math.isfinite(true_tension_N):  # the simulator knows every link's; the tracker told the load's end
-            watch.track.min_tension_N = true_tension_N
+        judged = scribe.judged(outcome.completed)
+        if judged.followed is not None:  # the simulator knows every link's tension; the tracker told the load's end
+            watch.track.min_tension_N = judged.smallest_tension_N
         missed = 0
         if simulator is not None and simulator.report is not None:
             missed = simulator.report.missed_deadlines + simulator.report.missed_answers
         summary = summarize(
             flight.scenario.name, flight.scenario.acceptance, watch.track, outcome, timing,
-            link.counters.sent, link.counters.lost, missed, n,
+            link.counters.sent, link.counters.lost, missed, n, judged.followed,
         )  # fmt: skip
         wire = _wire(link, simulator, watch.tallies, timing.unread)
         taken = wire["down_lost"] + wire.get("up_lost", 0)
@@ -167,6 +168,10 @@ def _run(flight: Flight, design: Design, options: Options, progress: Progress) -
         if scribe is not None:
             scribe.close()
         link.close()
+
+
+def _track(flight: Flight) -> Track:
+    return Track(flight.system, tuple(flight.scenario.target.position_m))
 
 
 def _wire(link: Link, simulator: Simulator | None, tallies: list[Tally], unread: int) -> dict[str, int]:
@@ -202,8 +207,7 @@ def _fly(
     configure: bool,
 ) -> tuple[Outcome, Timing]:
     s = flight.scenario
-    target = Reference(np.array(s.target.position_m), np.zeros(3))
-    plan = Plan(lambda _: target, s.duration_s)
+    plan = Plan(lambda t: at(flight.trajectory, t), s.duration_s)
     period_ms = flight.control_us // 1000
     delay_ms = s.control.delay_ticks * period_ms
     loop = Loop(flight.system, flight.airframe, period_ms, delay_ms, flight.physics_us * 1e-6)
@@ -244,7 +248,7 @@ def _endpoints(n: int, options: Options) -> list[Endpoint]:
 
 def _warm_up(design: Design, flight: Flight) -> None:
     """Compile what the loop calls before a clock runs: one decision and the messages it takes."""
-    here = Reference(flight.initial.x0, np.zeros(3))
+    here = at(flight.trajectory, 0.0)
     _, sample = tick(first_memory(design), Measurement(0.0, flight.initial), here, design)
     for value in (
         VehicleAttitude(0, sample.state.R[0], sample.state.Omega[0]),
@@ -323,6 +327,7 @@ def _opening(flight: Flight, design: Design, options: Options) -> Opening:
         ],
         s.epoch_s * 10**9,
         with_truth=not options.connect,
+        target_m=(float(s.target.position_m[0]), float(s.target.position_m[1]), float(s.target.position_m[2])),
     )
 
 
@@ -362,4 +367,4 @@ def _commit() -> str:
 
 def _nothing(flight: Flight, reason: str) -> Summary:
     none = Outcome(False, False, reason)
-    return summarize(flight.scenario.name, flight.scenario.acceptance, Track(), none, NO_TIME, 0, 0, 0, 0)
+    return summarize(flight.scenario.name, flight.scenario.acceptance, _track(flight), none, NO_TIME, 0, 0, 0, 0)

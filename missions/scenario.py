@@ -12,13 +12,17 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from bridge.faults import Faults
 from cablequad import lie
+from cablequad.air import Air
 from cablequad.attitude import Airframe
 from cablequad.design import Design, DesignError, Weights, continuous_law, sampled_law
 from cablequad.linear import EquilibriumError, equilibrium
 from cablequad.state import State
 from cablequad.stiffness import STABLE, stable_substep
 from cablequad.system import Cable, Payload, Quadrotor, System, box_inertia
+from cablequad.trajectory import Limits, Trajectory, along, at, circle, joined, leg, lemniscate, waypoints
 from sitl.firmware.parameters import arducopter_parameters, px4_parameters
+from sitl.sensors import Noise
+from sitl.wind import Weather
 
 
 class ScenarioError(Exception):
@@ -51,6 +55,7 @@ class PayloadTable(_Table):
 
     mass_kg: Positive
     box_m: Box
+    drag_area_m2: NotNegative = 0.0  # C_d A, in wind
     inertia_kg_m2: Inertia | None = None
 
 
@@ -59,6 +64,7 @@ class CableTable(_Table):
 
     link_masses_kg: Annotated[list[Positive], Field(min_length=1)]
     link_lengths_m: Annotated[list[Positive], Field(min_length=1)]
+    drag_area_m2: NotNegative = 0.0  # C_d A of the whole cable, in wind
 
     @model_validator(mode="after")
     def _same_length(self) -> "CableTable":
@@ -82,6 +88,7 @@ class VehicleTable(_Table):
     max_thrust_N: Positive
     attitude_bandwidth_rad_s: Positive = 40.0
     attitude_damping: Positive = 0.9
+    drag_area_m2: NotNegative = 0.0  # C_d A, in wind
     firmware: Firmware = "px4"
     estimator_ready_s: NotNegative | None = None  # as the firmware takes
     parameters: dict[ParameterName, Real] = {}  # set before boot
@@ -96,6 +103,7 @@ class OneVehicleTable(_Table):
     max_thrust_N: Positive | None = None
     attitude_bandwidth_rad_s: Positive | None = None
     attitude_damping: Positive | None = None
+    drag_area_m2: NotNegative | None = None
     firmware: Firmware | None = None
     estimator_ready_s: NotNegative | None = None
     parameters: dict[ParameterName, Real] = {}
@@ -113,27 +121,92 @@ class InitialTable(_Table):
 
 
 class TargetTable(_Table):
-    """[target]"""
+    """[target]: where the load is at the end"""
 
     position_m: Vector
+    yaw_deg: Real = 0.0
+
+
+class PlanTable(_Table):
+    """[plan]: how the load is carried; without it straight to the target"""
+
+    path: Literal["target", "waypoints", "circle", "lemniscate"] = "target"
+    speed_m_s: Positive = Limits().speed
+    acceleration_m_s2: Positive = Limits().acceleration
+    jerk_m_s3: Positive = Limits().jerk
+    yaw_rate_deg_s: Positive = math.degrees(Limits().yaw_rate)
+    waypoints_m: list[Vector] = []  # on the way to the target
+    waypoint_yaws_deg: list[Real] = []  # one for each; left out: 0
+    hold_s: NotNegative = 0.0  # at each waypoint
+    centre_m: Vector | None = None  # of a circle or lemniscate
+    radius_m: Positive | None = None
+    length_m: Positive | None = None  # of a lemniscate, along x
+    width_m: Positive | None = None
+    laps: Positive = 1.0
+    lap_speed_m_s: Positive = 1.0
+
+    @model_validator(mode="after")
+    def _whole(self) -> "PlanTable":
+        needed = {
+            "target": (), "waypoints": ("waypoints_m",), "circle": ("centre_m", "radius_m"),
+            "lemniscate": ("centre_m", "length_m", "width_m"),
+        }  # fmt: skip
+        for key in needed[self.path]:
+            if not getattr(self, key):
+                raise ValueError(f"{key}: missing; path = {self.path!r} needs it")
+        if self.waypoint_yaws_deg and len(self.waypoint_yaws_deg) != len(self.waypoints_m):
+            raise ValueError(
+                f"waypoint_yaws_deg: {len(self.waypoint_yaws_deg)} given for {len(self.waypoints_m)} waypoints_m"
+            )
+        return self
+
+
+class RealTable(_Table):
+    """[real]: what flies, where it differs from what the controller is told above"""
+
+    payload_mass_kg: Positive | None = None
+    thrust_scale: Positive | Annotated[list[Positive], Field(min_length=1)] = 1.0  # N made per N asked
+    attitude_bandwidth_rad_s: Positive | None = None
+
+
+class WindTable(_Table):
+    """[wind]: with the drag areas of payload, vehicle and cable"""
+
+    mean_m_s: Vector
+    gusts: bool = True  # Dryden, MIL-F-8785C
+    height_m: Positive = 6.1  # above ground, for the gusts
+    air_density_kg_m3: Positive = 1.225
+
+
+class SensorsTable(_Table):
+    """[sensors]: standard deviations of white noise on what vehicles and the payload tracker report"""
+
+    position_m: NotNegative = 0.0
+    velocity_m_s: NotNegative = 0.0
+    attitude_deg: NotNegative = 0.0
+    rate_deg_s: NotNegative = 0.0
+    link_direction_deg: NotNegative = 0.0
+    link_rate_deg_s: NotNegative = 0.0
 
 
 class WeightsTable(_Table):
-    """control.weights"""
+    """control.weights: left out, the rule that flies everything that ships"""
 
-    position: Positive = 4.0
-    velocity: Positive = 6.0
-    attitude: Positive = 6.0
-    body_rate: Positive = 3.0
-    link_direction: Positive = 0.3
-    link_rate: Positive = 0.1
-    force: Positive = 1.0
+    position: Positive = Weights().position
+    velocity: Positive = Weights().velocity
+    attitude: Positive = Weights().attitude
+    body_rate: Positive = Weights().body_rate
+    link_direction: Positive = Weights().link_direction
+    link_rate: Positive = Weights().link_rate
+    force: Positive = Weights().force
+    lasting: Positive = Weights().lasting
 
 
 class ControlTable(_Table):
     """[control]"""
 
     law: Literal["sampled", "paper"] = "sampled"
+    sensing: Literal["full", "fleet", "vehicles"] = "full"
     rate_hz: Positive = 250.0
     delay_ticks: Annotated[int, Field(ge=1, le=50)] = 1
     weights: WeightsTable = WeightsTable()
@@ -174,6 +247,9 @@ class AcceptanceTable(_Table):
     max_thrust_N: Positive | None = None
     min_tension_N: Real | None = None
     settling_time_s: Positive | None = None
+    rms_tracking_error_m: Positive | None = None
+    mean_position_error_m: Positive | None = None  # over the last 10 s
+    link_direction_error_deg: Positive | None = None  # rms, where a simulator knows them
 
 
 class FaultTable(_Table):
@@ -244,7 +320,11 @@ class Scenario(_Table):
     vehicles: Annotated[list[OneVehicleTable], Field(min_length=1, max_length=99)]
     initial: InitialTable
     target: TargetTable
+    plan: PlanTable = PlanTable()
     control: ControlTable = ControlTable()
+    real: RealTable = RealTable()
+    wind: WindTable | None = None
+    sensors: SensorsTable = SensorsTable()
     physics: PhysicsTable = PhysicsTable()
     link: LinkTable = LinkTable()
     faults: FaultsTable = FaultsTable()
@@ -258,6 +338,9 @@ class Scenario(_Table):
                 f"physics.rate_hz: {self.physics.rate_hz:g} given; it must be a whole multiple of control.rate_hz "
                 f"({self.control.rate_hz:g})"
             )
+        scales = self.real.thrust_scale
+        if isinstance(scales, list) and len(scales) != len(self.vehicles):
+            raise ValueError(f"real.thrust_scale: {len(scales)} given; there are {len(self.vehicles)} vehicles")
         named = [(f"vehicles.{k}", entry.vehicle) for k, entry in enumerate(self.faults.vehicles)]
         named += [(f"cuts.{k}", cut.vehicle) for k, cut in enumerate(self.faults.cuts) if cut.vehicle is not None]
         for key, number in named:
@@ -275,13 +358,25 @@ class Scenario(_Table):
         return self
 
 
+class World(NamedTuple):
+    """What flies, where it differs from what the controller is told."""
+
+    system: System
+    airframe: Airframe
+    thrust_scale: tuple[float, ...]  # N made per N asked
+    air: Air | None
+    weather: Weather | None
+
+
 class Flight(NamedTuple):
     """A scenario as values that the other rooms take."""
 
     scenario: Scenario
     source: str  # the file's text
-    system: System
+    system: System  # as the controller is told
     airframe: Airframe
+    world: World
+    trajectory: Trajectory
     initial: State
     control_us: int
     physics_us: int
@@ -350,16 +445,22 @@ def load(name: str, duration_s: float | None = None, seed: int | None = None, fi
 def weights(flight: Flight) -> Weights:
     """The weights of the scenario's quadratic cost."""
     w = flight.scenario.control.weights
-    return Weights(w.position, w.velocity, w.attitude, w.body_rate, w.link_direction, w.link_rate, w.force)
+    return Weights(w.position, w.velocity, w.attitude, w.body_rate, w.link_direction, w.link_rate, w.force, w.lasting)
+
+
+def noise(flight: Flight) -> Noise:
+    """The noise of the scenario's sensors."""
+    s = flight.scenario.sensors
+    degrees = np.radians([s.attitude_deg, s.rate_deg_s, s.link_direction_deg, s.link_rate_deg_s]).tolist()
+    return Noise(s.position_m, s.velocity_m_s, *degrees)
 
 
 def design(flight: Flight) -> Design:
     """The controller of a flight. Raises ScenarioError where the system has no equilibrium or no stabilising gains."""
     c = flight.scenario.control
+    law = continuous_law if c.law == "paper" else sampled_law
     try:
-        if c.law == "paper":
-            return continuous_law(flight.system, weights(flight), flight.airframe.max_thrust)
-        return sampled_law(flight.system, flight.airframe, weights(flight), flight.control_us * 1e-6, c.delay_ticks)
+        return law(flight.system, flight.airframe, weights(flight), flight.control_us * 1e-6, c.delay_ticks)
     except (EquilibriumError, DesignError) as error:
         raise ScenarioError(f"scenario {flight.scenario.name}: {error}") from None
 
@@ -378,12 +479,10 @@ def _flight(s: Scenario, source: str) -> Flight:
 
     cables = [v.cable or s.cable for v in s.vehicles]
     inertia = s.payload.inertia_kg_m2 or box_inertia(s.payload.mass_kg, s.payload.box_m)
-    system = System.of(
-        Payload(s.payload.mass_kg, inertia, [v.attachment_m for v in s.vehicles]),
-        [Quadrotor(of(v, "mass_kg"), of(v, "inertia_kg_m2")) for v in s.vehicles],
-        [Cable(c.link_masses_kg, c.link_lengths_m) for c in cables],
-        s.gravity_m_s2,
-    )
+    attachments = [v.attachment_m for v in s.vehicles]
+    quadrotors = [Quadrotor(of(v, "mass_kg"), of(v, "inertia_kg_m2")) for v in s.vehicles]
+    chains = [Cable(c.link_masses_kg, c.link_lengths_m) for c in cables]
+    system = System.of(Payload(s.payload.mass_kg, inertia, attachments), quadrotors, chains, s.gravity_m_s2)
     airframe = Airframe(
         np.array([of(v, "attitude_bandwidth_rad_s") for v in s.vehicles], dtype=float),
         np.array([of(v, "attitude_damping") for v in s.vehicles], dtype=float),
@@ -418,10 +517,52 @@ def _flight(s: Scenario, source: str) -> Flight:
             f"{STABLE / (physics_us * 1e-6):g} can be simulated"
         )
     down, up = _faults(s)
+    heavier = 1.0 if s.real.payload_mass_kg is None else s.real.payload_mass_kg / s.payload.mass_kg
+    load = Payload(heavier * s.payload.mass_kg, heavier * np.asarray(inertia), attachments)
+    bandwidth = s.real.attitude_bandwidth_rad_s
+    scale = s.real.thrust_scale
+    world = World(
+        System.of(load, quadrotors, chains, s.gravity_m_s2),
+        airframe if bandwidth is None else airframe._replace(bandwidth=np.full(len(s.vehicles), bandwidth)),
+        tuple(scale) if isinstance(scale, list) else (scale,) * len(s.vehicles),
+        None if s.wind is None else _air(s, system, [of(v, "drag_area_m2") for v in s.vehicles], cables),
+        None if s.wind is None else Weather(np.array(s.wind.mean_m_s), s.wind.gusts, s.wind.height_m),
+    )
     return Flight(
-        s, source, system, airframe, initial, control_us, physics_us, tick_us, notes,
-        tuple(of(v, "firmware") for v in s.vehicles), up, down,
+        s, source, system, airframe, world, _trajectory(s, system, initial), initial, control_us, physics_us,
+        tick_us, notes,        tuple(of(v, "firmware") for v in s.vehicles), up, down,
     )  # fmt: skip
+
+
+def _air(s: Scenario, system: System, vehicles: list[float], cables: list[CableTable]) -> Air:
+    assert s.wind is not None
+    links = np.zeros(system.length.shape)
+    for i, cable in enumerate(cables):
+        lengths = np.array(cable.link_lengths_m)
+        links[i, : len(lengths)] = cable.drag_area_m2 * lengths / lengths.sum()
+    return Air(s.wind.air_density_kg_m3, s.payload.drag_area_m2, np.array(vehicles), links)
+
+
+def _trajectory(s: Scenario, system: System, initial: State) -> Trajectory:
+    """From where the load begins, by what [plan] says, to the target."""
+    p = s.plan
+    limits = Limits(p.speed_m_s, p.acceleration_m_s2, p.jerk_m_s3, math.radians(p.yaw_rate_deg_s))
+    turned = initial.R0 @ _hanging(system).T
+    start = [*s.initial.position_m, math.atan2(turned[1, 0] - turned[0, 1], turned[0, 0] + turned[1, 1])]
+    end = [*s.target.position_m, math.radians(s.target.yaw_deg)]
+    if p.path == "target":
+        return leg(start, end, limits)
+    if p.path == "waypoints":
+        yaws = p.waypoint_yaws_deg or [0.0] * len(p.waypoints_m)
+        between = [[*x, math.radians(yaw)] for x, yaw in zip(p.waypoints_m, yaws, strict=True)]
+        return waypoints([start, *between, end], limits, p.hold_s)
+    if p.path == "circle":
+        curve = circle(p.centre_m or [], p.radius_m or 0.0)
+    else:
+        curve = lemniscate(p.centre_m or [], p.length_m or 0.0, p.width_m or 0.0)
+    laps = along(curve, p.laps, p.lap_speed_m_s, limits)
+    first, last = at(laps, 0.0), at(laps, laps.duration)
+    return joined([leg(start, first.x0, limits), laps, leg(last.x0, end, limits)])
 
 
 def _faults(s: Scenario) -> tuple[tuple[Faults, ...], tuple[Faults, ...]]:

@@ -29,6 +29,7 @@ from logs import encode
 from logs.encode import Model, Motion
 from logs.recorder import FLUSH_S, Attachment, Frame, Recorder, RecorderError
 from missions.channel import Shapes, put_sample, sample_shapes, take, take_sample
+from missions.tracking import Followed, Following
 from sitl.plant import Truth
 from sitl.server import Event
 
@@ -48,6 +49,14 @@ class Opening(NamedTuple):
     attachments: Sequence[Attachment]
     epoch_ns: int
     with_truth: bool
+    target_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+class Judged(NamedTuple):
+    """What was true of a flight, by the simulator; nothing where there is none."""
+
+    smallest_tension_N: float
+    followed: Followed | None
 
 
 class Closing(NamedTuple):
@@ -123,18 +132,19 @@ class Scribe:
         if batch and self.error is None:
             self._send(batch)
 
-    def smallest_tension_N(self, whole: bool) -> float:
-        """The smallest tension of the flight by the simulator; inf where there is none. Ends what truth is written.
+    def judged(self, whole: bool) -> Judged:
+        """What was true of the flight. Ends what truth is written.
 
         Where the run is not `whole`, what the simulator said of ticks that nobody answered is written as well.
         """
         self._put("truth ends", 0, whole)
         self.flush()
-        answer = self._answer(START_S) if self.error is None else math.inf
-        if isinstance(answer, float):
+        nothing = Judged(math.inf, None)
+        answer = self._answer(START_S) if self.error is None else nothing
+        if isinstance(answer, Judged):
             return answer
         self.error = str(answer)
-        return math.inf
+        return nothing
 
     def finish(self, result: Mapping[str, str]) -> Path:
         """Write everything out; the log's path. Where that failed, `error` says so."""
@@ -179,7 +189,9 @@ class Scribe:
 class _Ledger:
     """The scribe's side: puts what it is told into the recorder, truth in its place."""
 
-    def __init__(self, recorder: Recorder, model: Model, truth: Connection) -> None:
+    def __init__(
+        self, recorder: Recorder, model: Model, truth: Connection, target_m: tuple[float, float, float]
+    ) -> None:
         self._recorder = recorder
         self._used = np.arange(model.system.length.shape[1])[None, :] < model.system.n_links[:, None]
         self._shape = model.system.length.shape
@@ -190,7 +202,9 @@ class _Ledger:
         self._slack: set[int] = set()
         self._names = {number: kind.msgname for number, kind in mavlink.mavlink_map.items()}
         self._shapes: Shapes = ()
-        self.smallest_N = math.inf
+        self._smallest_N = math.inf
+        self._following = Following(target_m)
+        self._newest: Truth | None = None
 
     def take(self, entry: tuple) -> None:
         """Write one entry of the bridge."""
@@ -203,7 +217,7 @@ class _Ledger:
             case "decided":
                 self._read_truth(boot_us)
                 self._tell_truth(boot_us)
-                self._recorder.decided(boot_us, take_sample(rest[0], self._shapes), *rest[1:])
+                self._decided(boot_us, take_sample(rest[0], self._shapes), *rest[1:])
             case "shapes":
                 self._shapes = rest[0]
             case "event":
@@ -211,6 +225,17 @@ class _Ledger:
                 self._ended = self._ended or rest[0] == "end"
             case "perf":
                 self._recorder.perf(boot_us, *rest)
+
+    @property
+    def judged(self) -> Judged:
+        """What was true of the flight so far."""
+        return Judged(self._smallest_N, self._following.followed())
+
+    def _decided(self, boot_us: int, sample: Sample, tension: list[float], flying: bool, age_s: float) -> None:
+        true = self._newest.state if self._newest is not None and self._newest.boot_us == boot_us else None
+        if flying and not self._ended and true is not None:
+            self._following.take(sample, true, self._used)
+        self._recorder.decided(boot_us, sample, tension, flying, age_s, true)
 
     def sources(self, down: Connection) -> list[Connection]:
         """What may have something to say."""
@@ -256,11 +281,12 @@ class _Ledger:
                 self._recorder.plant_event(message.boot_us, f"sitl-{message.kind}", message.subject, message.text)
 
     def _write_truth(self, truth: Truth) -> None:
+        self._newest = truth
         motion = Motion(truth.state, truth.x, truth.v, truth.tension, truth.thrust)
         self._recorder.truth(truth.boot_us, truth.held, motion)
         if not truth.held and not self._ended:
             tension = np.where(self._used, truth.tension, np.inf)
-            self.smallest_N = min(self.smallest_N, float(tension.min()))
+            self._smallest_N = min(self._smallest_N, float(tension.min()))
             self._tell_slack(truth.boot_us, tension)
 
     def _tell_slack(self, boot_us: int, tension: np.ndarray) -> None:
@@ -301,7 +327,7 @@ def _child(opening: Opening, down: Connection, up: Connection, truth: Connection
         return
     _encode_once(opening.model)
     up.send("ready")
-    ledger = _Ledger(recorder, opening.model, truth)
+    ledger = _Ledger(recorder, opening.model, truth, opening.target_m)
     told_error = False
     while True:
         try:
@@ -318,7 +344,7 @@ def _child(opening: Opening, down: Connection, up: Connection, truth: Connection
         for entry in batch:
             if entry[0] == "truth ends":
                 ledger.end_truth(entry[2])
-                up.send(ledger.smallest_N)
+                up.send(ledger.judged)
             elif entry[0] == "finish":
                 recorder.metadata("result", entry[2])
                 path = recorder.finish()

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 from bridge.link import LinkError
 from bridge.wire.telemetry import Home
+from missions import scenario as scenarios
 from missions.channel import Failure, Ready, Status, put
 from missions.scenario import Flight
 from sitl.plant import PhysicsError, Truth
@@ -43,8 +44,8 @@ def settings(flight: Flight, serving: Serving) -> Settings:
         v.estimator_ready_s if v.estimator_ready_s is not None else s.vehicle.estimator_ready_s for v in s.vehicles
     ]
     return Settings(
-        system=flight.system,
-        airframe=flight.airframe,
+        system=flight.world.system,
+        airframe=flight.world.airframe,
         initial=flight.initial,
         physics_us=flight.physics_us,
         tick_us=flight.tick_us,
@@ -66,6 +67,10 @@ def settings(flight: Flight, serving: Serving) -> Settings:
         seed=s.seed,
         signing_key=serving.signing_key,
         accept_unsigned_telemetry=serving.accept_unsigned_telemetry,
+        thrust_scale=flight.world.thrust_scale,
+        air=flight.world.air,
+        weather=flight.world.weather,
+        noise=scenarios.noise(flight),
     )
 
 

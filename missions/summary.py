@@ -1,6 +1,5 @@
 """What a flight amounted to, and whether its own criteria hold."""
 
-import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -8,31 +7,28 @@ import numpy as np
 
 from bridge.fly import Outcome, Timing
 from cablequad.pilot import Sample
+from cablequad.system import System
 from missions.scenario import AcceptanceTable
-
-SETTLED_M = 0.05
+from missions.tracking import Followed, Following
 
 
 class Track:
     """Figures that accumulate while flying; only what happens between release and end counts."""
 
-    def __init__(self) -> None:
+    def __init__(self, system: System, target: tuple[float, ...]) -> None:
         self.last: Sample | None = None
+        self.following = Following(target)
+        self._used = np.arange(system.length.shape[1])[None, :] < system.n_links[:, None]
         self.max_psi = 0.0
         self.max_thrust_N = 0.0
         self.min_tension_N = np.inf
-        self.unsettled_at = -1.0
-        self.settled_from: float | None = None
 
     def decided(self, sample: Sample) -> None:
         """Take one decision of the flight."""
         self.last = sample
         self.max_psi = max(self.max_psi, float(sample.Psi.max()))
         self.max_thrust_N = max(self.max_thrust_N, float(sample.f.max()))
-        if math.hypot(*sample.error.x[:3].tolist()) > SETTLED_M:
-            self.settled_from = None
-        elif self.settled_from is None:
-            self.settled_from = sample.t
+        self.following.take(sample, None, self._used)
 
     def tension(self, smallest_N: float) -> None:
         """Take the smallest tension of one instant."""
@@ -75,6 +71,11 @@ class Summary(NamedTuple):
     predicted_ticks: int = 0  # answered with a state that was not all measured
     wire: dict[str, int] | None = None  # frames counted on both sides, and what became of them
     thrust_scale: list[dict[str, float]] | None = None  # of each vehicle: newtons made per newton asked
+    rms_tracking_error_m: float | None = None
+    largest_tracking_error_m: float | None = None
+    mean_position_error_m: float | None = None  # over the last 10 s
+    link_direction_error_deg: float | None = None  # rms of the estimate that was flown by
+    payload_attitude_error_deg: float | None = None
 
 
 def criteria(limits: AcceptanceTable, s: Summary) -> list[Criterion]:
@@ -87,6 +88,9 @@ def criteria(limits: AcceptanceTable, s: Summary) -> list[Criterion]:
         "max_psi": s.max_psi,
         "max_thrust_N": s.max_thrust_N,
         "settling_time_s": s.settling_time_s,
+        "rms_tracking_error_m": s.rms_tracking_error_m,
+        "mean_position_error_m": s.mean_position_error_m,
+        "link_direction_error_deg": s.link_direction_error_deg,
     }
     out = []
     for name, measured in upper.items():
@@ -111,17 +115,22 @@ def summarize(
     lost: int,
     missed_deadlines: int,
     n: int,
+    true: Followed | None = None,
 ) -> Summary:
-    """The summary of a flight that ended with `outcome`; a criterion that does not hold is named in the reason."""
+    """The summary of a flight that ended with `outcome`; a criterion that does not hold is named in the reason.
+
+    `true` is how the load really moved, where a simulator told it.
+    """
     last = track.last
+    moved = true or track.following.followed()
     enough = len(timing.intervals_s) > 2
     s = Summary(
         scenario=scenario,
         passed=False,
         reason=outcome.reason,
-        final_position_error_m=None if last is None else float(np.linalg.norm(last.error.x[:3])),
-        final_speed_m_s=None if last is None else float(np.linalg.norm(last.state.v0)),
-        settling_time_s=track.settled_from,
+        final_position_error_m=None if moved is None else moved.final_m,
+        final_speed_m_s=None if moved is None else moved.final_speed_m_s,
+        settling_time_s=None if moved is None else moved.settled_s,
         max_psi=None if last is None else track.max_psi,
         max_thrust_N=None if last is None else track.max_thrust_N,
         min_tension_N=float(track.min_tension_N) if np.isfinite(track.min_tension_N) else None,
@@ -137,6 +146,11 @@ def summarize(
         missed_deadlines=missed_deadlines,
         jitter_us=_jitter(timing.intervals_s) if enough else None,
         predicted_ticks=timing.predicted_ticks,
+        rms_tracking_error_m=None if moved is None else moved.rms_m,
+        largest_tracking_error_m=None if moved is None else moved.largest_m,
+        mean_position_error_m=None if moved is None else moved.mean_last_m,
+        link_direction_error_deg=None if moved is None else moved.link_rms_deg,
+        payload_attitude_error_deg=None if moved is None else moved.attitude_rms_deg,
         thrust_scale=[
             {"scale": round(k.scale, 5), "error": round(k.error, 5)} for k in timing.thrust_scales if k.pairs > 2
         ],

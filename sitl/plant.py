@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cablequad.air import Air, fly_in_wind
 from cablequad.attitude import Airframe, Setpoint, fly
 from cablequad.dynamics import accelerations
 from cablequad.integrate import scratch
@@ -14,6 +15,7 @@ from cablequad.state import State, positions, velocities
 from cablequad.system import System
 from cablequad.types import Array
 from sitl.firmware.autopilot import Actuation
+from sitl.wind import Wind
 
 
 class Truth(NamedTuple):
@@ -46,11 +48,23 @@ def _commanded(airframe: Airframe, actuation: Sequence[Actuation]) -> Setpoint:
 class Plant:
     """n vehicles under one load."""
 
-    def __init__(self, system: System, airframe: Airframe, initial: State, h: float) -> None:
+    def __init__(
+        self,
+        system: System,
+        airframe: Airframe,
+        initial: State,
+        h: float,
+        thrust_scale: Array | None = None,
+        air: Air | None = None,
+        wind: Wind | None = None,
+    ) -> None:
+        """`thrust_scale` (n,): newtons that rotors give for one that is asked. `air` and `wind` go together."""
         self.system = system
         self.airframe = airframe
         self.initial = initial
         self.h = h
+        self._thrust_scale = np.ones(len(system.m)) if thrust_scale is None else thrust_scale
+        self._air, self._wind = air, wind
         self.reset()
         self._work = scratch(system, self.state)
         self._warm_up()
@@ -59,7 +73,8 @@ class Plant:
         """Compile the step before a clock runs."""
         n = len(self.system.m)
         self.command([Actuation(self.state.R[i], np.zeros(3), 0.0, False) for i in range(n)])
-        fly(self.system, self.airframe, self._setpoint, self.state.copy(), self.h, 1, self._work)
+        self._move(self.state.copy(), 1)
+        self._work = scratch(self.system, self.state)
         self.specific_force(self.truth(0, *self.kinematics()))
 
     def reset(self) -> None:
@@ -79,14 +94,22 @@ class Plant:
 
     def command(self, actuation: Sequence[Actuation]) -> None:
         """What acts from now on."""
-        self._setpoint = _commanded(self.airframe, actuation)
+        asked = _commanded(self.airframe, actuation)
+        self._setpoint = asked._replace(thrust=np.minimum(self._thrust_scale * asked.thrust, self.airframe.max_thrust))
         self.thrust = self._setpoint.thrust
+
+    def _move(self, state: State, steps: int) -> None:
+        if self._air is None or self._wind is None:
+            fly(self.system, self.airframe, self._setpoint, state, self.h, steps, self._work)
+        else:
+            wind = self._wind.next(steps)
+            fly_in_wind(self.system, self.airframe, self._setpoint, state, self.h, self._air, wind, self._work)
 
     def advance(self, steps: int) -> None:
         """`steps` physics steps under what was commanded. Raises PhysicsError when the state is no longer finite."""
         if self.held:
             return
-        fly(self.system, self.airframe, self._setpoint, self.state, self.h, steps, self._work)
+        self._move(self.state, steps)
         if not math.isfinite(float(self.state.x0.sum()) + float(self.state.omega.sum())):
             raise PhysicsError("the motion is no longer finite; the vehicles and the load have flown apart")
 
@@ -96,9 +119,12 @@ class Plant:
 
     def truth(self, boot_us: int, x: Array, v: Array) -> Truth:
         """Everything, in arrays of its own; tensions are those of this instant under what is commanded from it on."""
-        s = self.state.copy()
-        force = -self.thrust[:, None] * s.R[:, :, 2]
-        tension = accelerations(self.system, s, force).tension
+        s, work = self.state.copy(), self._work.work
+        force = self._work.on_vehicles - self.thrust[:, None] * s.R[:, :, 2]
+        if work.loaded[0]:
+            tension = accelerations(self.system, s, force, work.on_payload, work.on_nodes).tension
+        else:
+            tension = accelerations(self.system, s, force).tension
         return Truth(boot_us, self.held, s, x, v, tension, self.thrust)
 
     def specific_force(self, truth: Truth) -> Array:
@@ -108,7 +134,8 @@ class Plant:
             support = np.array([0.0, 0.0, -self.system.g])
             return np.einsum("iba,b->ia", s.R, support)
         pull = truth.tension[:, 0, None] * s.q[:, 0]
-        world = (pull - truth.thrust[:, None] * s.R[:, :, 2]) / self.system.m[:, None]
+        blown = self._work.on_vehicles
+        world = (pull + blown - truth.thrust[:, None] * s.R[:, :, 2]) / self.system.m[:, None]
         return np.einsum("iba,ib->ia", s.R, world)
 
 

@@ -16,6 +16,7 @@ from bridge.wire.frames import Packed, Signer
 from bridge.wire.messages import encode
 from bridge.wire.telemetry import BUILD, Home, Snapshot
 from bridge.wire.values import IN_AIR, ON_GROUND, AttitudeTarget, Timesync
+from cablequad.air import Air
 from cablequad.attitude import Airframe
 from cablequad.state import State
 from cablequad.system import System
@@ -26,6 +27,8 @@ from sitl.firmware.autopilot import ATTITUDE_QUATERNION, HIGHRES_IMU, Autopilot,
 from sitl.firmware.px4 import Px4
 from sitl.places import places, tracker_endpoints
 from sitl.plant import LoosePlant, Plant, Truth
+from sitl.sensors import Noise, Sensors
+from sitl.wind import Weather, Wind
 
 CONTROLLER = (250, 191)  # whose setpoints may hold the clock
 HOST = "127.0.0.1"
@@ -59,6 +62,10 @@ class Settings(NamedTuple):
     seed: int = 0
     signing_key: bytes | None = None
     accept_unsigned_telemetry: bool = False
+    thrust_scale: tuple[float, ...] = ()  # N that each vehicle's rotors give for one that is asked; 1 where not said
+    air: Air | None = None
+    weather: Weather | None = None
+    noise: Noise = Noise()
 
 
 class Event(NamedTuple):
@@ -90,6 +97,20 @@ class Report(NamedTuple):
 Sink = Callable[[Truth | Event], None]
 
 
+def own_generator(seed: int, what: str) -> np.random.Generator:
+    """The generator of one part of the world, the same for the same seed whatever the other parts draw."""
+    return np.random.default_rng([seed, *what.encode()])
+
+
+def _plant(s: Settings) -> Plant | LoosePlant:
+    h = s.physics_us * 1e-6
+    if s.loose:
+        return LoosePlant(s.system, s.airframe, s.initial, h)
+    wind = Wind(s.weather, h, own_generator(s.seed, "wind")) if s.weather is not None else None
+    scale = np.array(s.thrust_scale) if s.thrust_scale else None
+    return Plant(s.system, s.airframe, s.initial, h, scale, s.air, wind)
+
+
 class Server:
     """The running vehicles."""
 
@@ -102,8 +123,8 @@ class Server:
         trackers = () if s.loose else tracker_endpoints(s.port_offset, s.host)
         signer = Signer(s.signing_key, s.accept_unsigned_telemetry) if s.signing_key is not None else None
         self.link = Link([*(place.endpoint for place in self._places), *trackers], signer)
-        kind = LoosePlant if s.loose else Plant
-        self.plant: Plant | LoosePlant = kind(s.system, s.airframe, s.initial, s.physics_us * 1e-6)
+        self.plant = _plant(s)
+        self._sensors = Sensors(s.noise, own_generator(s.seed, "sensors"))
         self._ports = [[k for k, p in enumerate(self._places) if p.vehicle in (i, None)] for i in range(n)]
         self.vehicles = [self._vehicle(i, firmware[i]) for i in range(n)]
         self._channels: list[Channel[tuple[int, Received]]] = [
@@ -236,9 +257,9 @@ class Server:
                 force = self.plant.specific_force(self._truth)
             self._own = [own._replace(specific_force=force[i]) for i, own in enumerate(self._own)]
         for i, vehicle in enumerate(self.vehicles):
-            self._speak(i, vehicle, vehicle.snapshot(self._own[i]))
+            self._speak(i, vehicle, self._sensors.vehicle(vehicle.snapshot(self._own[i])))
         if self._truth is not None:
-            self._track(self._truth)
+            self._track(self._sensors.tracked(self._truth))
 
     def _deliver(self, i: int, vehicle: Autopilot, now: int) -> None:
         waiting = []

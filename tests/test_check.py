@@ -12,10 +12,10 @@ from cablequad.certificate import AttitudeGains, attitude_gains, certify, higher
 from cablequad.design import Weights, continuous_law, sampled_law
 from cablequad.geometric import AttitudeCommand, attitude_error, moment
 from cablequad.margins import margins, modes
-from cablequad.pilot import Reference
 from cablequad.rollout import Timing, rollout
 from cablequad.state import State
 from cablequad.system import Cable, Payload, Quadrotor, System
+from cablequad.trajectory import Reference
 
 PAPER = System.paper(1)
 AIRFRAME = Airframe(np.full(4, 40.0), np.full(4, 0.9), np.full(4, 25.0))

@@ -6,11 +6,12 @@ from conftest import irregular
 
 from cablequad.attitude import Airframe, Setpoint, flown
 from cablequad.design import DesignError, Weights, continuous_law, flown_model, sampled_law, state_space
-from cablequad.pilot import Measurement, Reference, first_memory, tick
+from cablequad.pilot import Measurement, first_memory, tick
 from cablequad.rollout import Timing, rollout
 from cablequad.state import State
 from cablequad.stiffness import stable_substep, stiffest_mode
 from cablequad.system import Cable, Payload, Quadrotor, System
+from cablequad.trajectory import Reference
 
 PAPER = System.paper(1)
 TARGET = Reference(np.array([0.44, 0.78, -0.5]), np.zeros(3))

@@ -15,8 +15,8 @@ from conftest import Command, cablequad, flown, next_offset, wait_for_line
 from mcap.reader import make_reader
 
 from bridge.wire.dialect import mavlink
-from cablequad.pilot import Reference
 from cablequad.rollout import Timing, rollout
+from cablequad.trajectory import Reference
 from logs.reader import entries, read
 from missions import scenario
 

@@ -13,9 +13,10 @@ from mcap.reader import make_reader
 
 from cablequad.attitude import Airframe
 from cablequad.design import Weights, sampled_law
-from cablequad.pilot import Measurement, Reference, first_memory, tick
+from cablequad.pilot import Measurement, first_memory, tick
 from cablequad.state import State, positions
 from cablequad.system import System
+from cablequad.trajectory import Reference
 from logs import recorder as recorders
 from logs.encode import Model, Motion
 from logs.reader import LogError, entries, is_complete, read

@@ -7,8 +7,8 @@ import pytest
 from conftest import cablequad
 
 from cablequad import lie
-from cablequad.pilot import Reference
 from cablequad.rollout import Timing, rollout
+from cablequad.trajectory import Reference
 from missions import scenario
 from missions.scenario import ScenarioError
 

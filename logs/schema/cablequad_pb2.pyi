@@ -41,7 +41,7 @@ class PlantState(_message.Message):
     def __init__(self, sim_time_ns: _Optional[int] = ..., step: _Optional[int] = ..., held: _Optional[bool] = ..., payload_position: _Optional[_Iterable[float]] = ..., payload_velocity: _Optional[_Iterable[float]] = ..., payload_attitude: _Optional[_Iterable[float]] = ..., payload_rate: _Optional[_Iterable[float]] = ..., quad_position: _Optional[_Iterable[float]] = ..., quad_velocity: _Optional[_Iterable[float]] = ..., quad_attitude: _Optional[_Iterable[float]] = ..., quad_rate: _Optional[_Iterable[float]] = ..., link_direction: _Optional[_Iterable[float]] = ..., link_rate: _Optional[_Iterable[float]] = ..., tension: _Optional[_Iterable[float]] = ..., thrust: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class ControlState(_message.Message):
-    __slots__ = ("sim_time_ns", "t", "phase", "e_x0", "e_v0", "Psi_0", "e_Omega0", "Psi", "e_Omega", "e_q", "e_w", "ideal_force", "thrust", "attitude", "under_way", "state_age", "position", "velocity", "tension", "payload_attitude", "quad_attitude", "link_direction")
+    __slots__ = ("sim_time_ns", "t", "phase", "e_x0", "e_v0", "Psi_0", "e_Omega0", "Psi", "e_Omega", "e_q", "e_w", "ideal_force", "thrust", "attitude", "under_way", "state_age", "position", "velocity", "tension", "payload_attitude", "quad_attitude", "link_direction", "lasting", "calm")
     SIM_TIME_NS_FIELD_NUMBER: _ClassVar[int]
     T_FIELD_NUMBER: _ClassVar[int]
     PHASE_FIELD_NUMBER: _ClassVar[int]
@@ -64,6 +64,8 @@ class ControlState(_message.Message):
     PAYLOAD_ATTITUDE_FIELD_NUMBER: _ClassVar[int]
     QUAD_ATTITUDE_FIELD_NUMBER: _ClassVar[int]
     LINK_DIRECTION_FIELD_NUMBER: _ClassVar[int]
+    LASTING_FIELD_NUMBER: _ClassVar[int]
+    CALM_FIELD_NUMBER: _ClassVar[int]
     sim_time_ns: int
     t: float
     phase: str
@@ -86,21 +88,45 @@ class ControlState(_message.Message):
     payload_attitude: _containers.RepeatedScalarFieldContainer[float]
     quad_attitude: _containers.RepeatedScalarFieldContainer[float]
     link_direction: _containers.RepeatedScalarFieldContainer[float]
-    def __init__(self, sim_time_ns: _Optional[int] = ..., t: _Optional[float] = ..., phase: _Optional[str] = ..., e_x0: _Optional[_Iterable[float]] = ..., e_v0: _Optional[_Iterable[float]] = ..., Psi_0: _Optional[float] = ..., e_Omega0: _Optional[_Iterable[float]] = ..., Psi: _Optional[_Iterable[float]] = ..., e_Omega: _Optional[_Iterable[float]] = ..., e_q: _Optional[float] = ..., e_w: _Optional[float] = ..., ideal_force: _Optional[_Iterable[float]] = ..., thrust: _Optional[_Iterable[float]] = ..., attitude: _Optional[_Iterable[float]] = ..., under_way: _Optional[_Iterable[float]] = ..., state_age: _Optional[float] = ..., position: _Optional[_Iterable[float]] = ..., velocity: _Optional[_Iterable[float]] = ..., tension: _Optional[_Iterable[float]] = ..., payload_attitude: _Optional[_Iterable[float]] = ..., quad_attitude: _Optional[_Iterable[float]] = ..., link_direction: _Optional[_Iterable[float]] = ...) -> None: ...
+    lasting: _containers.RepeatedScalarFieldContainer[float]
+    calm: float
+    def __init__(self, sim_time_ns: _Optional[int] = ..., t: _Optional[float] = ..., phase: _Optional[str] = ..., e_x0: _Optional[_Iterable[float]] = ..., e_v0: _Optional[_Iterable[float]] = ..., Psi_0: _Optional[float] = ..., e_Omega0: _Optional[_Iterable[float]] = ..., Psi: _Optional[_Iterable[float]] = ..., e_Omega: _Optional[_Iterable[float]] = ..., e_q: _Optional[float] = ..., e_w: _Optional[float] = ..., ideal_force: _Optional[_Iterable[float]] = ..., thrust: _Optional[_Iterable[float]] = ..., attitude: _Optional[_Iterable[float]] = ..., under_way: _Optional[_Iterable[float]] = ..., state_age: _Optional[float] = ..., position: _Optional[_Iterable[float]] = ..., velocity: _Optional[_Iterable[float]] = ..., tension: _Optional[_Iterable[float]] = ..., payload_attitude: _Optional[_Iterable[float]] = ..., quad_attitude: _Optional[_Iterable[float]] = ..., link_direction: _Optional[_Iterable[float]] = ..., lasting: _Optional[_Iterable[float]] = ..., calm: _Optional[float] = ...) -> None: ...
 
 class ControlReference(_message.Message):
-    __slots__ = ("sim_time_ns", "payload_position", "payload_velocity", "payload_attitude", "link_direction")
+    __slots__ = ("sim_time_ns", "payload_position", "payload_velocity", "payload_attitude", "link_direction", "payload_acceleration", "yaw")
     SIM_TIME_NS_FIELD_NUMBER: _ClassVar[int]
     PAYLOAD_POSITION_FIELD_NUMBER: _ClassVar[int]
     PAYLOAD_VELOCITY_FIELD_NUMBER: _ClassVar[int]
     PAYLOAD_ATTITUDE_FIELD_NUMBER: _ClassVar[int]
     LINK_DIRECTION_FIELD_NUMBER: _ClassVar[int]
+    PAYLOAD_ACCELERATION_FIELD_NUMBER: _ClassVar[int]
+    YAW_FIELD_NUMBER: _ClassVar[int]
     sim_time_ns: int
     payload_position: _containers.RepeatedScalarFieldContainer[float]
     payload_velocity: _containers.RepeatedScalarFieldContainer[float]
     payload_attitude: _containers.RepeatedScalarFieldContainer[float]
     link_direction: _containers.RepeatedScalarFieldContainer[float]
-    def __init__(self, sim_time_ns: _Optional[int] = ..., payload_position: _Optional[_Iterable[float]] = ..., payload_velocity: _Optional[_Iterable[float]] = ..., payload_attitude: _Optional[_Iterable[float]] = ..., link_direction: _Optional[_Iterable[float]] = ...) -> None: ...
+    payload_acceleration: _containers.RepeatedScalarFieldContainer[float]
+    yaw: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, sim_time_ns: _Optional[int] = ..., payload_position: _Optional[_Iterable[float]] = ..., payload_velocity: _Optional[_Iterable[float]] = ..., payload_attitude: _Optional[_Iterable[float]] = ..., link_direction: _Optional[_Iterable[float]] = ..., payload_acceleration: _Optional[_Iterable[float]] = ..., yaw: _Optional[_Iterable[float]] = ...) -> None: ...
+
+class EstimateError(_message.Message):
+    __slots__ = ("sim_time_ns", "position", "velocity", "attitude", "rate", "link_direction", "link_rate")
+    SIM_TIME_NS_FIELD_NUMBER: _ClassVar[int]
+    POSITION_FIELD_NUMBER: _ClassVar[int]
+    VELOCITY_FIELD_NUMBER: _ClassVar[int]
+    ATTITUDE_FIELD_NUMBER: _ClassVar[int]
+    RATE_FIELD_NUMBER: _ClassVar[int]
+    LINK_DIRECTION_FIELD_NUMBER: _ClassVar[int]
+    LINK_RATE_FIELD_NUMBER: _ClassVar[int]
+    sim_time_ns: int
+    position: _containers.RepeatedScalarFieldContainer[float]
+    velocity: _containers.RepeatedScalarFieldContainer[float]
+    attitude: _containers.RepeatedScalarFieldContainer[float]
+    rate: _containers.RepeatedScalarFieldContainer[float]
+    link_direction: _containers.RepeatedScalarFieldContainer[float]
+    link_rate: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, sim_time_ns: _Optional[int] = ..., position: _Optional[_Iterable[float]] = ..., velocity: _Optional[_Iterable[float]] = ..., attitude: _Optional[_Iterable[float]] = ..., rate: _Optional[_Iterable[float]] = ..., link_direction: _Optional[_Iterable[float]] = ..., link_rate: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class Event(_message.Message):
     __slots__ = ("sim_time_ns", "kind", "subject", "text")
