@@ -26,21 +26,21 @@ class Weights(NamedTuple):
     vehicles get stiffer gains, and the links' to vehicles that turn faster than their cables swing.
     """
 
-    position: float = 20.0  # 1/m^2
-    velocity: float = 20.0  # s^2/m^2
+    position: float = 40.0  # 1/m^2
+    velocity: float = 40.0  # s^2/m^2
     attitude: float = 10.0  # 1/rad^2, payload
     body_rate: float = 6.0  # s^2/rad^2, payload
     link_direction: float = 2.0  # 1/rad^2
     link_rate: float = 0.6  # s^2/rad^2
     force: float = 2.0  # 1/N^2
-    lasting: float = 8.0  # 1/(m s)^2 and 1/(rad s)^2: of the integrals of position and attitude
+    lasting: float = 30.0  # 1/(m s)^2 and 1/(rad s)^2: of the integrals of position and attitude
 
 
 HOVER_N = 10.0
 TILT_DEG = 30.0
 LIGHTEST, HEAVIEST = 0.5, 1.4  # of the vertical force at rest
 RESERVE = 0.9  # of the rotors' limit, left for the tilt
-CALM_BEGIN, CALM_END, RETURN_S = 0.4, 0.2, 0.5
+CALM_BEGIN, CALM_END, RETURN_S = 0.25, 0.1, 0.5
 YIELDING, DAMPING, STIFFNESS, LEAD = 3.0, 5.0, 5.0, 0.58
 
 

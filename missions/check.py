@@ -17,7 +17,7 @@ from cablequad.pilot import Sample
 from cablequad.rollout import Timing, rollout
 from cablequad.state import State
 from cablequad.stiffness import stiffest_mode
-from cablequad.trajectory import at
+from cablequad.trajectory import Reference, at
 from missions import scenario as scenarios
 from missions.batch import spread
 from missions.scenario import Flight

@@ -1,4 +1,4 @@
-"""How well the load followed its reference: figures that accumulate over a flight, of what is true where it is known."""
+"""How well the load followed its reference: figures that accumulate over a flight, of the truth where it is known."""
 
 import math
 from collections import deque
