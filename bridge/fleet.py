@@ -26,6 +26,7 @@ from bridge.wire.values import (
     VehicleAttitude,
 )
 from cablequad import lie
+from cablequad.estimate import Sensing
 from cablequad.pilot import Sample
 
 SYSTEM, COMPONENT = 250, 191
@@ -162,8 +163,13 @@ class _Vehicle:
 class Fleet:
     """The protocol side of n vehicles: `feed` what they say, send what is `due`."""
 
-    def __init__(self, max_thrust_N: list[float], period_s: float, configure: bool = False) -> None:
-        """`configure`: parameters that a vehicle needs to be flown are set, not only asked for."""
+    def __init__(
+        self, max_thrust_N: list[float], period_s: float, configure: bool = False, sensing: Sensing = "full"
+    ) -> None:
+        """`configure`: parameters that a vehicle needs to be flown are set, not only asked for.
+
+        With `sensing` "vehicles" no payload tracker is needed; without cables measured, positions are in the loop.
+        """
         self.n = len(max_thrust_N)
         self.failure: str | None = None
         self.released_at: float | None = None
@@ -172,7 +178,11 @@ class Fleet:
         self._laws: list[ThrustLaw] = [MotorCommand(limit) for limit in max_thrust_N]
         self._configure = configure
         self._answers: list[Request] = []
-        self._interval_us = round(period_s * 1e6)
+        period_us = round(period_s * 1e6)
+        self._intervals_us = {msgid: asked or period_us for msgid, asked in STREAMS_US.items()}
+        if sensing != "full":
+            self._intervals_us[mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED] = period_us
+        self._needs_tracker = sensing != "vehicles"
         self._setpoints_since: float | None = None
         self._next_heartbeat = 0.0
         self._tracker_heard = False
@@ -196,7 +206,7 @@ class Fleet:
     def unheard(self) -> list[str]:
         """Who has not been heard yet: `vehicle k` or `the payload tracker`."""
         missing = [f"vehicle {v.system}" for v in self._vehicles if v.stage is Stage.HEARTBEAT]
-        return missing if self._tracker_heard else [*missing, "the payload tracker"]
+        return missing if self._tracker_heard or not self._needs_tracker else [*missing, "the payload tracker"]
 
     def feed(self, source: int, component: int, value: Any, now: float) -> None:
         """Take one value from system `source`."""
@@ -257,7 +267,7 @@ class Fleet:
         for v in self._vehicles:
             if v.stage in _ASK and now >= v.next_try:
                 v.next_try = now + RETRIES_S.get(v.stage, RETRY_S)
-                out += [Request(v.system, value) for value in _ASK[v.stage](v, self._interval_us)]
+                out += [Request(v.system, value) for value in _ASK[v.stage](v, self._intervals_us)]
             self._watch(v, now)
         return out
 
@@ -391,13 +401,12 @@ def _command(v: _Vehicle, command: int, *params: float) -> Command:
     return Command(v.system, 1, command, p[:7])  # type: ignore[arg-type]
 
 
-def _ask_streams(v: _Vehicle, interval_us: int) -> list[Any]:
+def _ask_streams(v: _Vehicle, intervals_us: dict[int, int]) -> list[Any]:
     msgid = v.streams_left[0]
-    asked_us = STREAMS_US[msgid] or interval_us
-    return [_command(v, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, msgid, asked_us)]
+    return [_command(v, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, msgid, intervals_us[msgid])]
 
 
-def _ask_parameter(v: _Vehicle, _: int) -> list[Any]:
+def _ask_parameter(v: _Vehicle, _: dict[int, int]) -> list[Any]:
     name = v.missing_parameter()
     return [] if name is None else [ParamRequestRead(v.system, 1, name)]
 
@@ -406,7 +415,7 @@ def _ask_mode(v: _Vehicle, mode: tuple[str, int, tuple[float, ...]]) -> list[Any
     return [_command(v, mavlink.MAV_CMD_DO_SET_MODE, *mode[2])]
 
 
-_ASK: dict[Stage, Callable[[_Vehicle, int], list[Any]]] = {
+_ASK: dict[Stage, Callable[[_Vehicle, dict[int, int]], list[Any]]] = {
     Stage.STREAMS: _ask_streams,
     Stage.PARAMETERS: _ask_parameter,
     Stage.CONTROL: lambda v, _: [] if v.profile is None else _ask_mode(v, v.profile.control),

@@ -77,7 +77,7 @@ class _Flight:
     ) -> None:
         self.link, self.fleet, self.plan, self.design, self.record = link, fleet, plan, design, record
         self.loop = loop
-        self.gate = Gate(fleet.n, TRACKER, loop.period_ms)
+        self.gate = Gate(fleet.n, TRACKER, loop.period_ms, loop.sensing)
         self.observer = Observer(loop)
         self.channels = channels
         self.memory: Memory = first_memory(design)

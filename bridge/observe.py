@@ -7,6 +7,9 @@ says whether the vehicle hangs where its cable says it does.
 Each instant's estimate is the one before, carried on by the model under the setpoints that were under way, with
 everything that was measured of it put in its place. What comes late is put where it belongs, and the model leads from
 there to now. Where everything is in time the estimate is what was measured, and no model is asked.
+
+With a filter (measurements with noise, or cables that nobody measures) the same chain of instants is corrected by what
+was measured of each instead of being replaced by it. What `sensing` leaves out is not looked at, also where it is sent.
 """
 
 import math
@@ -17,6 +20,16 @@ import numpy as np
 from bridge.wire.values import CableShape, PayloadState, VehicleAttitude, VehiclePosition
 from cablequad import lie
 from cablequad.attitude import Airframe, Setpoint, flown
+from cablequad.estimate import (
+    Belief,
+    Filter,
+    Seen,
+    Sensing,
+    corrected,
+    first_belief,
+    nothing_seen,
+    predicted,
+)
 from cablequad.state import State, positions
 from cablequad.system import System
 from cablequad.types import Array
@@ -34,6 +47,8 @@ class Loop(NamedTuple):
     period_ms: int
     delay_ms: int  # from the state that a setpoint answers to when it acts
     step_s: float  # of the model
+    filter: Filter | None = None  # for measurements with noise or without some; None: all is measured exactly
+    sensing: Sensing = "full"
 
 
 class Instant(NamedTuple):
@@ -64,21 +79,28 @@ class _Parts:
 class Gate:
     """Says when a tick has come: every source that lives has spoken of it, or has let a later one begin."""
 
-    def __init__(self, vehicles: int, tracker: int, period_ms: int) -> None:
-        self._newest = dict.fromkeys([*range(1, vehicles + 1), tracker], -1)
+    def __init__(self, vehicles: int, tracker: int, period_ms: int, sensing: Sensing = "full") -> None:
+        """With `sensing` "vehicles" a tracker is waited for only once it has spoken."""
+        self._newest = dict.fromkeys(range(1, vehicles + 1), -1)
+        if sensing != "vehicles":
+            self._newest[tracker] = -1
+        self._closing = VehiclePosition if sensing == "vehicles" else VehicleAttitude
         self._tracker = tracker
         self._period_ms = period_ms
         self._told_ms = -1
 
     def feed(self, source: int, value: object) -> None:
         """Take a value that closes what `source` says of a tick."""
-        if isinstance(value, VehicleAttitude) and source != self._tracker:
+        if isinstance(value, self._closing) and source != self._tracker:
             stamp = value.boot_ms
         elif isinstance(value, PayloadState) and source == self._tracker:
             stamp = value.boot_us // 1000
         else:
             return
-        if source in self._newest and (stamp > self._newest[source] or stamp < self._newest[source] - REBOOT_MS):
+        known = source in self._newest
+        if (source == self._tracker and not known) or (
+            known and (stamp > self._newest[source] or stamp < self._newest[source] - REBOOT_MS)
+        ):
             self._newest[source] = stamp
 
     def open(self) -> int | None:
@@ -93,7 +115,8 @@ class Gate:
         if all(stamp == newest for stamp in stamps if stamp > late):
             self._told_ms = newest
             return newest
-        gone_on = max(self._newest[self._tracker], newest - self._period_ms)  # the tracker speaks last in a tick
+        spoken = self._newest.get(self._tracker, -1)
+        gone_on = max(spoken, newest - self._period_ms)  # the tracker speaks last in a tick
         earlier = gone_on - self._period_ms
         if earlier > self._told_ms >= 0:  # what is missing of the tick before is not coming
             self._told_ms = earlier
@@ -109,10 +132,12 @@ class Observer:
         self._n, self._L = loop.system.length.shape
         self._links_of = loop.system.n_links.tolist()
         self._parts: dict[int, _Parts] = {}
-        self._known: dict[int, tuple[State, int]] = {}  # estimates and the stamp that their oldest part rests on
+        self._known: dict[int, tuple[Belief, int]] = {}  # estimates and the stamp that their oldest part rests on
+        self._no_force = np.zeros((self._n, 3))
         self._commands: dict[int, tuple[Array, Array]] = {}  # R_c and f by the state they answered
         self._oldest_new = -1  # the earliest stamp of which something new is known; -1: none
         self._tension = np.zeros(self._n)
+        self._untold = np.full(self._n, np.nan)
         self._moving = False
         self._begun = False
 
@@ -123,9 +148,9 @@ class Observer:
                 self._of(value.boot_ms).attitudes[source - 1] = value
             case VehiclePosition() if 1 <= source <= self._n:
                 self._of(value.boot_ms).positions[source - 1] = value
-            case PayloadState() if source > self._n:
+            case PayloadState() if source > self._n and self._loop.sensing != "vehicles":
                 self._of(value.boot_us // 1000).payload = value
-            case CableShape() if source > self._n:
+            case CableShape() if source > self._n and self._loop.sensing == "full":
                 self._cable(value)
             case _:
                 pass
@@ -142,15 +167,15 @@ class Observer:
     def estimate(self, boot_ms: int) -> Instant | None:
         """The state at `boot_ms`; None until everything has been measured together once."""
         parts = self._parts.get(boot_ms)
-        state = None if parts is None else self._measured(parts)
+        state = None if parts is None or self._loop.filter is not None else self._measured(parts)
         if state is not None:
             age = 0
-            self._known[boot_ms] = (state, boot_ms)
+            self._known[boot_ms] = (Belief(state, self._no_force), boot_ms)
         elif not self._begun and not self._begin():
             return None
         else:
-            state, rests_on = self._carried(boot_ms)
-            age = boot_ms - rests_on
+            belief, rests_on = self._carried(boot_ms)
+            state, age = belief.state, boot_ms - rests_on
         self._begun = True
         self._oldest_new = -1
         self._forget(self._known)
@@ -158,6 +183,8 @@ class Observer:
         if parts is not None:
             if parts.links_missing == 0:
                 self._tension = parts.tension
+            elif self._loop.sensing != "full":
+                self._tension = self._untold
             if parts.positions:
                 hung = positions(self._loop.system, state)
                 for i, said in parts.positions.items():
@@ -169,7 +196,7 @@ class Observer:
         parts, known = self._parts.get(boot_ms), self._known.get(boot_ms)
         if parts is None or known is None or known[1] != boot_ms or parts.links_missing > 0:
             return None
-        return known[0], parts.tension
+        return known[0].state, parts.tension
 
     def acting(self, boot_ms: int) -> tuple[Array, Array] | None:
         """R_c and f that act from `boot_ms` on, if they arrived."""
@@ -215,12 +242,32 @@ class Observer:
 
     def _begin(self) -> bool:
         """Whether some instant is known whole, from which the model can lead on."""
+        filter = self._loop.filter
         for stamp in sorted(self._parts, reverse=True):
-            state = self._measured(self._parts[stamp])
-            if state is not None:
-                self._known[stamp] = (state, stamp)
+            if filter is not None:
+                belief = first_belief(filter, self._seen(self._parts[stamp]))
+            else:
+                state = self._measured(self._parts[stamp])
+                belief = None if state is None else Belief(state, self._no_force)
+            if belief is not None:
+                self._known[stamp] = (belief, stamp)
                 return True
         return False
+
+    def _seen(self, parts: _Parts) -> Seen:
+        """What was measured, for the filter."""
+        seen = nothing_seen(self._loop.system)
+        load = parts.payload
+        if load is not None:
+            seen = seen._replace(x0=load.x0, v0=load.v0, R0=load.R0, Omega0=load.Omega0)
+        for i, vehicle in parts.attitudes.items():
+            seen.R[i], seen.Omega[i] = vehicle.R, vehicle.Omega
+        for i, said in parts.positions.items():
+            seen.x[i], seen.v[i] = said.x, said.v
+        for i, links in enumerate(parts.cable_links):
+            if links == self._links_of[i] and lie.normalize(parts.q[i : i + 1]):
+                seen.q[i], seen.omega[i] = parts.q[i], parts.omega[i]
+        return seen
 
     def _measured(self, parts: _Parts) -> State | None:
         """The state where everything was measured."""
@@ -232,34 +279,48 @@ class Observer:
             R[i], Omega[i] = vehicle.R, vehicle.Omega
         return State(load.x0, load.v0, load.R0, load.Omega0, parts.q, parts.omega, R, Omega)
 
-    def _carried(self, boot_ms: int) -> tuple[State, int]:
+    def _carried(self, boot_ms: int) -> tuple[Belief, int]:
         """From the last estimate that nothing new concerns, step by step to `boot_ms`."""
         first = min(boot_ms, self._oldest_new) if self._oldest_new >= 0 else boot_ms
         base = max((stamp for stamp in self._known if stamp < first), default=min(self._known))
-        state, rests_on = self._known[base]
+        belief, rests_on = self._known[base]
         at = base
         while at < boot_ms:
             following = min(at + self._loop.period_ms, boot_ms)
-            state = self._predicted(state, at, following)
+            belief = self._predicted(belief, at, following)
             at = following
             parts = self._parts.get(at)
-            if parts is not None:
+            if parts is not None and self._loop.filter is not None:
+                belief = self._filtered(self._loop.filter, belief, parts)
+                rests_on = at if len(parts.attitudes) == self._n else rests_on
+            elif parts is not None:
                 whole = self._measured(parts)
                 if whole is not None:
-                    state, rests_on = whole, at
+                    belief, rests_on = Belief(whole, self._no_force), at
                 else:
-                    state = self._corrected(state, parts)
-            self._known[at] = (state, rests_on)
-        return state, rests_on
+                    belief = Belief(self._corrected(belief.state, parts), self._no_force)
+            self._known[at] = (belief, rests_on)
+        return belief, rests_on
 
-    def _predicted(self, state: State, start_ms: int, end_ms: int) -> State:
+    def _filtered(self, filter: Filter, belief: Belief, parts: _Parts) -> Belief:
+        after = corrected(filter, belief, self._seen(parts))
+        if self._moving:
+            return after
+        s = after.state  # what is held does not move
+        still = s._replace(v0=0.0 * s.v0, Omega0=0.0 * s.Omega0, omega=0.0 * s.omega)
+        return Belief(still, self._no_force)
+
+    def _predicted(self, belief: Belief, start_ms: int, end_ms: int) -> Belief:
         command = self.acting(start_ms)
         if not self._moving or command is None:
-            return state
+            return belief
         setpoint = Setpoint.attitude(*command)
         steps = max(1, round((end_ms - start_ms) * 1e-3 / self._loop.step_s))
         h = (end_ms - start_ms) * 1e-3 / steps
-        return flown(self._loop.system, self._loop.airframe, setpoint, state, h, steps)
+        if self._loop.filter is not None:
+            return predicted(self._loop.filter, belief, setpoint, h, steps)
+        state = flown(self._loop.system, self._loop.airframe, setpoint, belief.state, h, steps)
+        return Belief(state, self._no_force)
 
     def _corrected(self, state: State, parts: _Parts) -> State:
         """`state` with what was measured in its place."""

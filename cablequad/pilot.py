@@ -14,6 +14,7 @@ from cablequad.geometric import attitude_of_force
 from cablequad.integrate import scratch
 from cablequad.state import Error, State, local, positions, velocities
 from cablequad.trajectory import Reference
+from cablequad.turned import about_down, turned, turned_frames, turned_reference, turned_state
 from cablequad.types import Array, Counts
 
 LASTING_REACH = 0.25  # m and rad: larger errors are not summed faster than this, so that a long way leaves no overshoot
@@ -99,7 +100,7 @@ def _decide(memory: Memory, s: State, on_hold: bool, reference: Reference, desig
     yaw = reference.yaw[0]
     seen, wanted, way = s, reference, memory.under_way
     if yaw != 0.0:
-        seen, wanted, way = _turned_state(s, -yaw), _turned_reference(reference, -yaw), _turned(way, -yaw)
+        seen, wanted, way = turned_state(s, -yaw), turned_reference(reference, -yaw), turned(way, -yaw)
     lead = (design.delay + 0.5) * design.period
     form = formation(system, design.hanging, u_star, design.airframe, lead, wanted)
     error = local(system, form.target, seen)
@@ -118,12 +119,12 @@ def _decide(memory: Memory, s: State, on_hold: bool, reference: Reference, desig
     for k in range(len(way_now)):
         way_now[k] = way[k - 1] if k > 0 else A - form.command
     if yaw != 0.0:
-        A, way_now = _turned(A, yaw), _turned(way_now, yaw)
+        A, way_now = turned(A, yaw), turned(way_now, yaw)
     R_c, f, Psi = _commands(A, s.R, design.b1, design.authority.vertical, design.airframe.max_thrust, memory.R_c[0])
     next_memory = Memory(_shifted(memory.R_c, R_c), _shifted(memory.f, f), way_now, lasting, np.array([calm]))
     e_q, e_omega = _link_errors(system.n_links, seen.q, seen.omega, form.target.q)
     Psi_0 = 0.5 * (3.0 - np.sum(form.target.R0 * seen.R0))
-    spin = _about_down(yaw)
+    spin = about_down(yaw)
     return _Decision(
         next_memory, error, A, R_c, f, Psi_0, Psi, e_q, e_omega, spin @ form.target.R0, spin @ form.target.q[0, 0]
     )
@@ -171,7 +172,7 @@ def _calm_forces(memory: Memory, seen: State, form: Formation, design: Design, y
     for k in range(design.delay, -1, -1):
         ahead = steps if k > 0 else calm.lead_steps
         newest = max(k - 1, 0)
-        R_c = memory.R_c[newest] if yaw == 0.0 else _turned_frames(memory.R_c[newest], -yaw)
+        R_c = memory.R_c[newest] if yaw == 0.0 else turned_frames(memory.R_c[newest], -yaw)
         setpoint = Setpoint(R_c, np.zeros((n, 3)), memory.f[newest], np.zeros(n, dtype=np.bool_))
         fly(system, design.airframe, setpoint, at, calm.step_s, ahead, work)
     force = np.empty((n, 3))
@@ -257,49 +258,3 @@ def _shifted(kept: Array, newest: Array) -> Array:
     out[1:] = kept[:-1]
     out[0] = newest
     return out
-
-
-# -- turned about e3 -------------------------------------------------------------------------------------------------
-
-
-@jit
-def _about_down(angle: float) -> Array:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-
-
-@jit
-def _turned(vectors: Array, angle: float) -> Array:
-    """Vectors (..., 3) of the world."""
-    c, s = np.cos(angle), np.sin(angle)
-    out = np.empty_like(vectors)
-    out[..., 0] = c * vectors[..., 0] - s * vectors[..., 1]
-    out[..., 1] = s * vectors[..., 0] + c * vectors[..., 1]
-    out[..., 2] = vectors[..., 2]
-    return out
-
-
-@jit
-def _turned_frames(R: Array, angle: float) -> Array:
-    """Frames (n, 3, 3), B -> W."""
-    out = np.empty_like(R)
-    spin = _about_down(angle)
-    for i in range(R.shape[0]):
-        out[i] = spin @ np.ascontiguousarray(R[i])
-    return out
-
-
-@jit
-def _turned_state(s: State, angle: float) -> State:
-    return State(
-        _turned(s.x0, angle), _turned(s.v0, angle), _about_down(angle) @ s.R0, s.Omega0, _turned(s.q, angle),
-        _turned(s.omega, angle), _turned_frames(s.R, angle), s.Omega,
-    )  # fmt: skip
-
-
-@jit
-def _turned_reference(r: Reference, angle: float) -> Reference:
-    return Reference(
-        _turned(r.x0, angle), _turned(r.v0, angle), _turned(r.a0, angle), _turned(r.j0, angle), _turned(r.s0, angle),
-        r.yaw,
-    )  # fmt: skip

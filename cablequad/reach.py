@@ -32,16 +32,26 @@ def coordinate_names(system: System) -> list[str]:
 
 
 def reach(system: System) -> Reach:
-    """The undamped modes of `linearize` that B excites; of a family of equal frequency, the part that it excites.
+    """The undamped modes of `linearize` that B excites; of a family of equal frequency, the part that it excites."""
+    return _split(system, linearize(system)[2], None)
+
+
+def observed(system: System, C: Array) -> Reach:
+    """The undamped modes that `C` (m, D) shows; of a family of equal frequency, the part that it shows."""
+    return _split(system, None, C)
+
+
+def _split(system: System, B: Array | None, C: Array | None) -> Reach:
+    """Modes by whether they touch the columns of B (forces) or the rows of C (measurements).
 
     The rows of the links, multiplied by their lengths, make M and G symmetric, so modes are real and M-orthogonal.
     """
-    M, G, B = linearize(system)
+    M, G, _ = linearize(system)
     lengths = [system.length[i, j] for i in range(len(system.m)) for j in range(int(system.n_links[i])) for _ in "xy"]
     rows = np.concatenate([np.ones(6), lengths])[:, None]
-    M, G, B = rows * M, rows * G, rows * B
+    M, G = rows * M, rows * G
     squares, modes = linalg.eigh(0.5 * (G + G.T), 0.5 * (M + M.T))
-    excited = modes.T @ B
+    excited = modes.T @ (rows * B) if B is not None else (np.asarray(C) @ modes).T
     best = float(np.linalg.norm(excited, axis=1).max())
     scale = float(np.abs(squares).max())
     kept, lost = [], []

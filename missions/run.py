@@ -31,6 +31,7 @@ from bridge.wire.values import PayloadState, VehicleAttitude
 from cablequad import lie
 from cablequad.attitude import Setpoint, flown
 from cablequad.design import Design
+from cablequad.estimate import Belief, corrected, nothing_seen, predicted
 from cablequad.pilot import Measurement, Sample, first_memory, tick
 from cablequad.trajectory import at
 from logs.encode import Model
@@ -210,8 +211,11 @@ def _fly(
     plan = Plan(lambda t: at(flight.trajectory, t), s.duration_s)
     period_ms = flight.control_us // 1000
     delay_ms = s.control.delay_ticks * period_ms
-    loop = Loop(flight.system, flight.airframe, period_ms, delay_ms, flight.physics_us * 1e-6)
-    fleet = Fleet(flight.airframe.max_thrust.tolist(), flight.control_us * 1e-6, configure)
+    sensing = s.control.sensing
+    loop = Loop(
+        flight.system, flight.airframe, period_ms, delay_ms, flight.physics_us * 1e-6, scenarios.filter(flight), sensing
+    )
+    fleet = Fleet(flight.airframe.max_thrust.tolist(), flight.control_us * 1e-6, configure, sensing)
     channels = {
         (TRACKER if i == len(flight.firmware) else i + 1): Channel[Received](faults, generator(s.seed, i + 1, up=False))
         for i, faults in enumerate(flight.faults_down)
@@ -256,6 +260,12 @@ def _warm_up(design: Design, flight: Flight) -> None:
         attitude_target(0, 1, (1.0, 0.0, 0.0, 0.0), 0.5),
     ):
         reread(encode_message(value))
+    filter = scenarios.filter(flight)
+    if filter is not None:
+        belief = Belief(flight.initial.copy(), np.zeros((len(flight.system.m), 3)))
+        level = Setpoint.attitude(flight.initial.R, np.zeros(len(flight.system.m)))
+        belief = predicted(filter, belief, level, flight.physics_us * 1e-6, 1)
+        corrected(filter, belief, nothing_seen(flight.system))
 
 
 def predict_once(flight: Flight) -> None:

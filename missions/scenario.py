@@ -15,13 +15,14 @@ from cablequad import lie
 from cablequad.air import Air
 from cablequad.attitude import Airframe
 from cablequad.design import Design, DesignError, Weights, continuous_law, sampled_law
+from cablequad.estimate import Filter, Observer, observer
 from cablequad.linear import EquilibriumError, equilibrium
+from cablequad.noise import Noise
 from cablequad.state import State
 from cablequad.stiffness import STABLE, stable_substep
 from cablequad.system import Cable, Payload, Quadrotor, System, box_inertia
 from cablequad.trajectory import Limits, Trajectory, along, at, circle, joined, leg, lemniscate, waypoints
 from sitl.firmware.parameters import arducopter_parameters, px4_parameters
-from sitl.sensors import Noise
 from sitl.wind import Weather
 
 
@@ -446,6 +447,19 @@ def weights(flight: Flight) -> Weights:
     """The weights of the scenario's quadratic cost."""
     w = flight.scenario.control.weights
     return Weights(w.position, w.velocity, w.attitude, w.body_rate, w.link_direction, w.link_rate, w.force, w.lasting)
+
+
+def observer_of(flight: Flight) -> Observer:
+    """The observer of what the scenario's sensing leaves or blurs, told how noisy the sensors are."""
+    period, sensing = flight.control_us * 1e-6, flight.scenario.control.sensing
+    return observer(flight.system, flight.airframe, period, sensing, noise(flight))
+
+
+def filter(flight: Flight) -> Filter | None:
+    """The observer's filter; None where everything is measured without noise."""
+    if flight.scenario.control.sensing == "full" and noise(flight) == Noise():
+        return None
+    return observer_of(flight).filter
 
 
 def noise(flight: Flight) -> Noise:

@@ -68,8 +68,9 @@ class Following:
         if self._count == 0:
             return None
         judged = self._judged > 0
+        rms, mean = math.sqrt(self._squares / self._count), self._sum / len(self._last)
         return Followed(
-            self._final, math.sqrt(self._squares / self._count), self._largest, self._sum / len(self._last), self._speed,
-            self._settled, math.degrees(math.sqrt(self._links / self._judged)) if judged else None,
+            self._final, rms, self._largest, mean, self._speed, self._settled,
+            math.degrees(math.sqrt(self._links / self._judged)) if judged else None,
             math.degrees(math.sqrt(self._attitude / self._judged)) if judged else None,
         )  # fmt: skip

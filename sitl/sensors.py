@@ -1,25 +1,13 @@
 """What is measured: white noise on what vehicles and the payload tracker report, from one seeded generator."""
 
-from typing import NamedTuple
-
 import numpy as np
 
 from bridge.wire.telemetry import Snapshot
 from cablequad import lie
+from cablequad.noise import Noise
 from cablequad.state import State
 from cablequad.types import Array
 from sitl.plant import Truth
-
-
-class Noise(NamedTuple):
-    """Standard deviations of each component."""
-
-    position: float = 0.0  # m
-    velocity: float = 0.0  # m/s
-    attitude: float = 0.0  # rad, of each body axis
-    rate: float = 0.0  # rad/s
-    link_direction: float = 0.0  # rad, of each axis across the link
-    link_rate: float = 0.0  # rad/s
 
 
 class Sensors:

@@ -18,6 +18,7 @@ from bridge.wire.telemetry import BUILD, Home, Snapshot
 from bridge.wire.values import IN_AIR, ON_GROUND, AttitudeTarget, Timesync
 from cablequad.air import Air
 from cablequad.attitude import Airframe
+from cablequad.noise import Noise
 from cablequad.state import State
 from cablequad.system import System
 from cablequad.types import Array
@@ -27,7 +28,7 @@ from sitl.firmware.autopilot import ATTITUDE_QUATERNION, HIGHRES_IMU, Autopilot,
 from sitl.firmware.px4 import Px4
 from sitl.places import places, tracker_endpoints
 from sitl.plant import LoosePlant, Plant, Truth
-from sitl.sensors import Noise, Sensors
+from sitl.sensors import Sensors
 from sitl.wind import Weather, Wind
 
 CONTROLLER = (250, 191)  # whose setpoints may hold the clock
