@@ -223,7 +223,7 @@ def _flights(count: int) -> None:
     """`count` rollouts of Case 1."""
     system = System.paper(1)
     airframe = Airframe(np.full(4, 40.0), np.full(4, 0.9), np.full(4, 25.0))
-    design = continuous_law(system, Weights(1, 2, 2, 1, 1, 0.1, 1), airframe.max_thrust)
+    design = continuous_law(system, airframe, Weights(1, 2, 2, 1, 1, 0.1, 1), 0.004, 1)
     target = Reference(np.array([0.44, 0.78, -0.5]), np.zeros(3))
     for _ in range(count):
         for _ in rollout(
@@ -236,7 +236,7 @@ def flights() -> dict:
     """Closed loop without a wire: Case 1, 10 s, 1 ms steps, decisions at 250 Hz, law = paper; and batches of it."""
     system = System.paper(1)
     airframe = Airframe(np.full(4, 40.0), np.full(4, 0.9), np.full(4, 25.0))
-    design = continuous_law(system, Weights(1, 2, 2, 1, 1, 0.1, 1), airframe.max_thrust)
+    design = continuous_law(system, airframe, Weights(1, 2, 2, 1, 1, 0.1, 1), 0.004, 1)
     target = Reference(np.array([0.44, 0.78, -0.5]), np.zeros(3))
     start = State.hanging(system, (1.0, 4.8, 0.0))
 

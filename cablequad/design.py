@@ -289,7 +289,7 @@ def _design(
         airframe=airframe,
         period=period,
         delay=delay,
-        hanging=State.hanging(system)._replace(R0=hung.R0),
+        hanging=State.hanging(system)._replace(R0=hung.R0).copy(),
         u_star=equilibrium_forces(system, hung),
         K_x=K_x,
         K_xdot=K_xdot,

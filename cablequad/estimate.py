@@ -110,7 +110,7 @@ def observer(system: System, airframe: Airframe, period: float, sensing: Sensing
     """The observer for what `sensing` measures every `period` s with `noise`."""
     n = len(system.m)
     hung = equilibrium(system)
-    hanging = State.hanging(system)._replace(R0=hung.R0)
+    hanging = State.hanging(system)._replace(R0=hung.R0).copy()
     C = measured_rows(system, hanging, sensing)
     view = observed(system, C)
     sigma = Noise(*(max(a, b) for a, b in zip(noise, FLOOR, strict=True)))

@@ -114,7 +114,7 @@ def certificate() -> None:
     airframe = Airframe(np.full(4, 40.0), np.full(4, 0.9), np.full(4, 25.0))
     for factor, color in zip((1.0, 10.0, 100.0, 1000.0), COLORS, strict=True):
         weights = Weights()._replace(force=factor)
-        design = continuous_law(PAPER, weights, airframe.max_thrust)
+        design = continuous_law(PAPER, airframe, weights, 0.004, 1)
         c = certify(design, weights, attitude_gains(PAPER, airframe, 2.0))
         axis.loglog([p.psi_1 for p in c.curve], [p.gamma for p in c.curve], "o-", color=color, label=f"{factor:g}")
     axis.set(xlabel="psi_1 [-]", ylabel="largest gamma [1/s^2]", title="what Proposition 3 allows")

@@ -16,6 +16,7 @@ _TYPES: dict[str, Any] = {
     "/plant/state": pb.PlantState,
     "/control/state": pb.ControlState,
     "/control/reference": pb.ControlReference,
+    "/control/estimate": pb.EstimateError,
     "/event": pb.Event,
     "/plant/event": pb.Event,
     "/perf": pb.Perf,

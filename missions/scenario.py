@@ -512,6 +512,7 @@ def _flight(s: Scenario, source: str) -> Flight:
         if v.initial_link_directions is not None:
             q = np.array(v.initial_link_directions)
             initial.q[i, : len(q)] = q / np.linalg.norm(q, axis=1, keepdims=True)
+    initial = initial.copy()  # arrays of one layout, as compiled code is compiled for each
     control_us = round(1e6 / s.control.rate_hz)
     notes = []
     presets = {"px4": px4_parameters, "arducopter": arducopter_parameters}

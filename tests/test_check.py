@@ -9,7 +9,7 @@ from conftest import cablequad
 
 from cablequad.attitude import Airframe
 from cablequad.certificate import AttitudeGains, attitude_gains, certify, higher_order_slope
-from cablequad.design import Weights, continuous_law, sampled_law
+from cablequad.design import HOVER_N, Weights, continuous_law, sampled_law
 from cablequad.geometric import AttitudeCommand, attitude_error, moment
 from cablequad.margins import margins, modes
 from cablequad.rollout import Timing, rollout
@@ -20,7 +20,7 @@ from cablequad.trajectory import Reference
 PAPER = System.paper(1)
 AIRFRAME = Airframe(np.full(4, 40.0), np.full(4, 0.9), np.full(4, 25.0))
 WEIGHTS = Weights(1, 2, 2, 1, 1, 0.1, 1)
-LAW = continuous_law(PAPER, WEIGHTS, np.full(4, 25.0))
+LAW = continuous_law(PAPER, AIRFRAME, WEIGHTS, 0.004, 1)
 J = PAPER.J[0]
 LOW, HIGH = 0.557e-2, 1.05e-2
 
@@ -124,8 +124,10 @@ class TestMisprintsOfTheProof:
 
 
 def test_the_certificate_has_the_figures_of_the_notes() -> None:
-    """|P| = 2445 and |P B_d| = 7481 for one design: ours, with the default weights, is close to it."""
-    c = certify(continuous_law(PAPER, Weights(), np.full(4, 25.0)), Weights(), attitude_gains(PAPER, AIRFRAME, 2.0))
+    """|P| = 2445 and |P B_d| = 7481 for one design, whose force weight is 1 for the thrust at which these hover."""
+    hover = -LAW.u_star[0, 2]
+    weights = Weights(4, 6, 6, 3, 0.3, 0.1, (hover / HOVER_N) ** 2)
+    c = certify(continuous_law(PAPER, AIRFRAME, weights, 0.004, 1), weights, attitude_gains(PAPER, AIRFRAME, 2.0))
     identity = c.choices[0]
     assert np.linalg.norm(identity.P, 2) == pytest.approx(2445, rel=0.01)
     assert identity.higher_order == pytest.approx(7481, rel=0.01)

@@ -5,13 +5,14 @@ import pytest
 from conftest import irregular
 
 from cablequad.attitude import Airframe, Setpoint, flown
-from cablequad.design import DesignError, Weights, continuous_law, flown_model, sampled_law, state_space
+from cablequad.design import Weights, continuous_law, flown_model, loop_gains, sampled_law, sampled_loop, state_space
 from cablequad.pilot import Measurement, first_memory, tick
+from cablequad.reach import OUTPUTS, held_outputs, reach
 from cablequad.rollout import Timing, rollout
 from cablequad.state import State
 from cablequad.stiffness import stable_substep, stiffest_mode
 from cablequad.system import Cable, Payload, Quadrotor, System
-from cablequad.trajectory import Reference
+from cablequad.trajectory import Limits, Reference, at, leg
 
 PAPER = System.paper(1)
 TARGET = Reference(np.array([0.44, 0.78, -0.5]), np.zeros(3))
@@ -23,7 +24,7 @@ def airframe(n: int, bandwidth: float = 40.0) -> Airframe:
 
 def test_continuous_gains_make_the_linear_model_stable() -> None:
     A, B = state_space(PAPER)
-    design = continuous_law(PAPER, Weights(), np.full(4, 25.0))
+    design = continuous_law(PAPER, airframe(4), Weights(), 0.004, 1)
     K = np.hstack([design.K_x, design.K_xdot])
     assert np.linalg.eigvals(A).real.max() > -1e-6
     assert np.linalg.eigvals(A - B @ K).real.max() < 0
@@ -31,10 +32,9 @@ def test_continuous_gains_make_the_linear_model_stable() -> None:
 
 @pytest.mark.parametrize("delay", [0, 1, 3])
 def test_sampled_gains_make_the_loop_as_flown_stable(delay: int) -> None:
-    A, B = flown_model(PAPER, airframe(4), 0.004, delay)
-    d = sampled_law(PAPER, airframe(4), Weights(), 0.004, delay)
-    K = np.hstack([d.K_x, d.K_xdot, d.K_phi, d.K_phidot, d.K_way])
-    assert np.abs(np.linalg.eigvals(A - B @ K)).max() < 1
+    loop = sampled_loop(PAPER, airframe(4), 0.004, delay)
+    gains = loop_gains(sampled_law(PAPER, airframe(4), Weights(), 0.004, delay), loop)
+    assert np.abs(np.linalg.eigvals(loop.A - loop.B @ gains)).max() < 1
 
 
 def test_the_sampled_model_predicts_what_the_simulator_does() -> None:
@@ -59,11 +59,17 @@ def test_the_sampled_model_predicts_what_the_simulator_does() -> None:
     np.testing.assert_allclose(phi.ravel(), expected[2 * D : 2 * D + 8], rtol=0, atol=1e-2 * np.abs(phi).max())
 
 
-def test_one_vehicle_cannot_turn_its_load_and_the_design_says_so() -> None:
+def test_one_vehicle_cannot_turn_its_load_and_the_design_leaves_that_out() -> None:
     load = Payload(0.5, (1e-2,) * 3, [(0.0, 0.0, -0.1)])
     one = System.of(load, [Quadrotor(0.755, (5.57e-3, 5.57e-3, 1.05e-2))], [Cable([0.01] * 3, [0.2] * 3)])
-    with pytest.raises(DesignError, match="no stabilising gains for 1 vehicle"):
-        continuous_law(one, Weights(), np.full(1, 25.0))
+    assert reach(one).missing == ("load yaw",)
+    assert [OUTPUTS[k] for k in held_outputs(one, reach(one))] == ["load x", "load y", "load z"]
+    design = sampled_law(one, airframe(1), Weights(), 0.004, 1)
+    assert np.abs(design.K_x[:, 5]).max() < 1e-9
+    target = leg((0.0, 0.0, 0.0), TARGET.x0, Limits())
+    flight = rollout(design, airframe(1), lambda t: at(target, t), State.hanging(one), Timing(0.004, 4, 1), 2000)
+    last = list(flight)[-1]
+    assert np.linalg.norm(last.error.x[:3]) < 0.01
 
 
 @pytest.mark.parametrize("delay", [1, 2, 3])
@@ -71,7 +77,8 @@ def test_case_1_settles_and_its_links_stop_swinging(delay: int) -> None:
     """Designed for one tick of delay, flown with up to three."""
     design = sampled_law(PAPER, airframe(4), Weights(), 0.004, 1)
     start = State.hanging(PAPER, (1.0, 4.8, 0.0))
-    samples = list(rollout(design, airframe(4), lambda _: TARGET, start, Timing(0.004, 4, delay), 2500))
+    way = leg(start.x0, TARGET.x0, Limits())
+    samples = list(rollout(design, airframe(4), lambda t: at(way, t), start, Timing(0.004, 4, delay), 2500))
     last = samples[-1]
     assert np.linalg.norm(last.error.x[:3]) < 0.02
     assert np.linalg.norm(last.state.v0) < 0.02

@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cablequad import lie
+from cablequad.attitude import Airframe
 from cablequad.design import Weights, continuous_law
 from cablequad.geometric import AttitudeCommand, attitude_command, attitude_error, attitude_of_force, moment, thrust
 from cablequad.integrate import step
@@ -52,12 +53,16 @@ def test_commanded_rates_are_the_derivatives_of_the_commanded_frame(seed: int) -
     np.testing.assert_allclose(now.R_c, attitude_of_force(A(0.3), E1), rtol=0, atol=1e-14)
 
 
+def airframe(max_thrust: float) -> Airframe:
+    return Airframe(np.full(4, 40.0), np.full(4, 0.9), np.full(4, max_thrust))
+
+
 @pytest.mark.parametrize("curl", [0.002, 0.3, 1.0])
 def test_ideal_forces_derivatives_are_those_along_the_true_closed_loop(curl: float) -> None:
     """From R_i, through accelerations and jerks, to A_ddot: against differences of the flown motion."""
     rng = np.random.default_rng(3)
     system = System.paper(1)
-    design = continuous_law(system, Weights(), np.full(4, 1e9))
+    design = continuous_law(system, airframe(1e9), Weights(), 0.004, 1)
     state = random_state(system, rng, rate=1.0)
     q = np.array([0.0, 0.0, 1.0]) + curl * rng.normal(size=state.q.shape)
     q /= np.linalg.norm(q, axis=-1, keepdims=True)
@@ -104,7 +109,7 @@ def test_moment_gives_the_papers_error_dynamics(seed: int) -> None:
 def test_the_papers_continuous_law_flies_its_first_case() -> None:
     """Moments commanded directly, perfect state: 8 s at 2.5 ms."""
     system = System.paper(1)
-    design = continuous_law(system, Weights(1, 2, 2, 1, 1, 0.1, 1), np.full(4, 25.0))
+    design = continuous_law(system, airframe(25.0), Weights(1, 2, 2, 1, 1, 0.1, 1), 0.004, 1)
     target = np.array([0.44, 0.78, -0.5])
     flight = list(paper_flight(design, GAINS, target, State.hanging(system, (1.0, 4.8, 0.0)), 2.5e-3, 3201))
     errors = [float(np.linalg.norm(s.x0 - target)) for s, _ in flight]

@@ -8,7 +8,7 @@ from conftest import cablequad
 
 from cablequad import lie
 from cablequad.rollout import Timing, rollout
-from cablequad.trajectory import Reference
+from cablequad.trajectory import at
 from missions import scenario
 from missions.scenario import ScenarioError
 
@@ -109,8 +109,8 @@ def test_a_load_that_hangs_tilted_starts_as_it_hangs_and_flies(tmp_path: Path) -
     path.write_text(head + vehicles + tail.replace("attitude_deg = [0.0, 0.0, 0.0]", ""))
     flight = scenario.load(str(path))
     design = scenario.design(flight)
-    target = Reference(np.array(flight.scenario.target.position_m), np.zeros(3))
-    samples = list(rollout(design, flight.airframe, lambda _: target, flight.initial, Timing(0.004, 4), 2500))
+    plan = flight.trajectory
+    samples = list(rollout(design, flight.airframe, lambda t: at(plan, t), flight.initial, Timing(0.004, 4), 2500))
     assert np.degrees(np.linalg.norm(lie.log(design.hanging.R0))) > 30
     assert np.linalg.norm(samples[-1].error.x[:6]) < 0.02
     assert min(float(s.f.min()) for s in samples) > 0
