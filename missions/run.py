@@ -115,6 +115,9 @@ def _run(flight: Flight, design: Design, options: Options, progress: Progress) -
     before, thresholds = sys.getswitchinterval(), gc.get_threshold()
     try:
         scribe = Scribe(_opening(flight, design, options))
+        progress.say("getting ready (the first start on a machine compiles the model: a minute or two)")
+        _warm_up(design, flight)  # before the vehicles' clock runs: it does not wait for a compiler
+        predict_once(flight)
         if not options.connect:
             serving = Serving(
                 lockstep=math.isinf(options.speed), await_controller=True, speed=options.speed,
@@ -122,10 +125,8 @@ def _run(flight: Flight, design: Design, options: Options, progress: Progress) -
                 accept_unsigned_telemetry=options.accept_unsigned_telemetry,
             )  # fmt: skip
             simulator = Simulator(settings(flight, serving), scribe.truth_end)
-            progress.say("starting the vehicles (the first start on a machine compiles the model: about half a minute)")
         scribe.wait_ready()
         watch = _Watch(scribe, _track(flight))
-        _warm_up(design, flight)
         if simulator is not None and math.isinf(options.speed):
             pin(-2)
         sys.setswitchinterval(SWITCH_S)
@@ -134,7 +135,6 @@ def _run(flight: Flight, design: Design, options: Options, progress: Progress) -
                 outcome = Outcome(False, interrupted(), simulator.failure or "interrupted by the user")
                 timing = NO_TIME
             else:
-                predict_once(flight)  # the simulator has compiled it by now
                 few_collections()
                 outcome, timing = _fly(flight, design, link, watch, simulator, interrupted, progress, options.configure)
         if simulator is not None:
