@@ -260,14 +260,18 @@ class Observer:
         load = parts.payload
         if load is not None:
             seen = seen._replace(x0=load.x0, v0=load.v0, R0=load.R0, Omega0=load.Omega0)
-        for i, vehicle in parts.attitudes.items():
-            seen.R[i], seen.Omega[i] = vehicle.R, vehicle.Omega
         for i, said in parts.positions.items():
             seen.x[i], seen.v[i] = said.x, said.v
+        self._put_measured(parts, seen)
+        return seen
+
+    def _put_measured(self, parts: _Parts, into: State | Seen) -> None:
+        """Attitudes of vehicles and whole cables, in their place."""
+        for i, vehicle in parts.attitudes.items():
+            into.R[i], into.Omega[i] = vehicle.R, vehicle.Omega
         for i, links in enumerate(parts.cable_links):
             if links == self._links_of[i] and lie.normalize(parts.q[i : i + 1]):
-                seen.q[i], seen.omega[i] = parts.q[i], parts.omega[i]
-        return seen
+                into.q[i], into.omega[i] = parts.q[i], parts.omega[i]
 
     def _measured(self, parts: _Parts) -> State | None:
         """The state where everything was measured."""
@@ -328,9 +332,5 @@ class Observer:
         if parts.payload is not None:
             p = parts.payload
             state = state._replace(x0=p.x0, v0=p.v0, R0=p.R0, Omega0=p.Omega0)
-        for i, vehicle in parts.attitudes.items():
-            state.R[i], state.Omega[i] = vehicle.R, vehicle.Omega
-        for i, links in enumerate(parts.cable_links):
-            if links == self._links_of[i] and lie.normalize(parts.q[i : i + 1]):
-                state.q[i], state.omega[i] = parts.q[i], parts.omega[i]
+        self._put_measured(parts, state)
         return state

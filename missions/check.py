@@ -14,6 +14,7 @@ from cablequad.design import Design, Weights, continuous_law
 from cablequad.linear import equilibrium
 from cablequad.margins import WEAK, closed_loop_poles, margins, modes
 from cablequad.pilot import Sample
+from cablequad.reach import reach
 from cablequad.rollout import Timing, rollout
 from cablequad.state import State
 from cablequad.stiffness import stiffest_mode
@@ -74,6 +75,9 @@ def check(flight: Flight, quick: bool) -> dict[str, Any]:
             {"pole": [m.pole.real, m.pole.imag], "pbh": m.pbh, "motion": m.motion, "weak": m.pbh < WEAK * strongest}
             for m in listed
         ],
+        "out_of_reach": list(reach(system).missing),
+        "hidden": list(scenarios.observer_of(flight).hidden),
+        "sensing": c.sensing,
         "controllable": all(m.pbh >= WEAK * strongest for m in listed),
         "gains": {
             "K_x_norm": float(np.linalg.norm(design.K_x, 2)),
@@ -276,6 +280,10 @@ def _settles(design: Design, flight: Flight, start: State) -> bool:
 def show(result: dict[str, Any], console: Console) -> None:
     """The result as a page, without its heading."""
     e, c, m = result["equilibrium"], result["closed_loop"], result["margins"]
+    if result["out_of_reach"]:
+        console.print(f"out of reach of the vehicles' forces, and left out: {', '.join(result['out_of_reach'])}")
+    if result["hidden"]:
+        console.print(f"not shown by anything that is measured ({result['sensing']}): {', '.join(result['hidden'])}")
     thrust = ", ".join(f"{t:.2f}" for t in e["thrust_N"])
     console.print(
         f"equilibrium: load tilted {e['load_tilt_deg']:.1f} deg; tensions at the load "

@@ -33,6 +33,7 @@ from cablequad.attitude import Setpoint, flown
 from cablequad.design import Design
 from cablequad.estimate import Belief, corrected, nothing_seen, predicted
 from cablequad.pilot import Measurement, Sample, first_memory, tick
+from cablequad.reach import reach
 from cablequad.trajectory import at
 from logs.encode import Model
 from logs.recorder import Attachment, RecorderError
@@ -98,6 +99,8 @@ def run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary, 
     design = scenarios.design(flight)
     for note in flight.notes:
         progress.say(note)
+    for motion in reach(flight.system).missing:
+        progress.say(f"{motion} is out of reach of the vehicles' forces; it is left out, the rest is flown")
     try:
         return _run(flight, design, options, progress)
     except (LinkError, RecorderError) as error:

@@ -8,7 +8,7 @@ import numpy as np
 from bridge.fly import Outcome, Timing
 from cablequad.pilot import Sample
 from cablequad.system import System
-from missions.scenario import AcceptanceTable
+from missions.tables import AcceptanceTable
 from missions.tracking import Followed, Following
 
 

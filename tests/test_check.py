@@ -16,6 +16,8 @@ from cablequad.rollout import Timing, rollout
 from cablequad.state import State
 from cablequad.system import Cable, Payload, Quadrotor, System
 from cablequad.trajectory import Reference
+from missions import scenario
+from missions.check import check
 
 PAPER = System.paper(1)
 AIRFRAME = Airframe(np.full(4, 40.0), np.full(4, 0.9), np.full(4, 25.0))
@@ -223,3 +225,9 @@ def test_region_of_attraction_by_simulation_is_larger_than_what_is_certified() -
     flight = scenario.load("paper-case-1")
     row = _reach(scenario.design(flight), flight, len(DIRECTIONS) - 1)
     assert row["settles_up_to"] > 30
+
+
+def test_a_check_names_what_one_vehicle_cannot_turn() -> None:
+    found = check(scenario.load("one-vehicle"), quick=True)
+    assert found["out_of_reach"] == ["load yaw"]
+    assert found["hidden"] == []

@@ -1,0 +1,339 @@
+"""The tables of a scenario file and what each key may be; validation says which key is wrong and why."""
+
+import math
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+
+from cablequad.design import Weights
+from cablequad.trajectory import Limits
+
+
+def _number(value: Any) -> Any:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError("a number is needed")
+    if not math.isfinite(value):
+        raise ValueError("a finite number is needed")
+    return value
+
+
+Real = Annotated[float, BeforeValidator(_number)]
+Positive = Annotated[float, BeforeValidator(_number), Field(gt=0)]
+NotNegative = Annotated[float, BeforeValidator(_number), Field(ge=0)]
+Share = Annotated[float, BeforeValidator(_number), Field(ge=0, le=1)]
+Vector = Annotated[list[Real], Field(min_length=3, max_length=3)]
+Box = Annotated[list[Positive], Field(min_length=3, max_length=3)]
+Inertia = Annotated[list[Positive], Field(min_length=3, max_length=3)]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class PayloadTable(_Table):
+    """[payload]"""
+
+    mass_kg: Positive
+    box_m: Box
+    drag_area_m2: NotNegative = 0.0  # C_d A, in wind
+    inertia_kg_m2: Inertia | None = None
+
+
+class CableTable(_Table):
+    """[cable]"""
+
+    link_masses_kg: Annotated[list[Positive], Field(min_length=1)]
+    link_lengths_m: Annotated[list[Positive], Field(min_length=1)]
+    drag_area_m2: NotNegative = 0.0  # C_d A of the whole cable, in wind
+
+    @model_validator(mode="after")
+    def _same_length(self) -> "CableTable":
+        if len(self.link_masses_kg) != len(self.link_lengths_m):
+            raise ValueError(
+                f"link_masses_kg has {len(self.link_masses_kg)} values, link_lengths_m {len(self.link_lengths_m)}; "
+                "one of each per link"
+            )
+        return self
+
+
+Firmware = Literal["px4", "arducopter"]
+ParameterName = Annotated[str, Field(pattern=r"^[A-Z][A-Z0-9_]{0,15}$")]
+
+
+class VehicleTable(_Table):
+    """[vehicle]"""
+
+    mass_kg: Positive
+    inertia_kg_m2: Inertia
+    max_thrust_N: Positive
+    attitude_bandwidth_rad_s: Positive = 40.0
+    attitude_damping: Positive = 0.9
+    drag_area_m2: NotNegative = 0.0  # C_d A, in wind
+    firmware: Firmware = "px4"
+    estimator_ready_s: NotNegative | None = None  # as the firmware takes
+    parameters: dict[ParameterName, Real] = {}  # set before boot
+
+
+class OneVehicleTable(_Table):
+    """[[vehicles]]"""
+
+    attachment_m: Vector
+    mass_kg: Positive | None = None
+    inertia_kg_m2: Inertia | None = None
+    max_thrust_N: Positive | None = None
+    attitude_bandwidth_rad_s: Positive | None = None
+    attitude_damping: Positive | None = None
+    drag_area_m2: NotNegative | None = None
+    firmware: Firmware | None = None
+    estimator_ready_s: NotNegative | None = None
+    parameters: dict[ParameterName, Real] = {}
+    cable: CableTable | None = None
+    initial_attitude_deg: Vector = [0.0, 0.0, 0.0]
+    initial_link_directions: list[Vector] | None = None
+
+
+class InitialTable(_Table):
+    """[initial]"""
+
+    position_m: Vector
+    attitude_deg: Vector | None = None  # as the load hangs at rest
+    velocity_m_s: Vector = [0.0, 0.0, 0.0]
+
+
+class TargetTable(_Table):
+    """[target]: where the load is at the end"""
+
+    position_m: Vector
+    yaw_deg: Real = 0.0
+
+
+class PlanTable(_Table):
+    """[plan]: how the load is carried; without it straight to the target"""
+
+    path: Literal["target", "waypoints", "circle", "lemniscate"] = "target"
+    speed_m_s: Positive = Limits().speed
+    acceleration_m_s2: Positive = Limits().acceleration
+    jerk_m_s3: Positive = Limits().jerk
+    yaw_rate_deg_s: Positive = math.degrees(Limits().yaw_rate)
+    waypoints_m: list[Vector] = []  # on the way to the target
+    waypoint_yaws_deg: list[Real] = []  # one for each; left out: 0
+    hold_s: NotNegative = 0.0  # at each waypoint
+    centre_m: Vector | None = None  # of a circle or lemniscate
+    radius_m: Positive | None = None
+    length_m: Positive | None = None  # of a lemniscate, along x
+    width_m: Positive | None = None
+    laps: Positive = 1.0
+    lap_speed_m_s: Positive = 1.0
+
+    @model_validator(mode="after")
+    def _whole(self) -> "PlanTable":
+        needed = {
+            "target": (), "waypoints": ("waypoints_m",), "circle": ("centre_m", "radius_m"),
+            "lemniscate": ("centre_m", "length_m", "width_m"),
+        }  # fmt: skip
+        for key in needed[self.path]:
+            if not getattr(self, key):
+                raise ValueError(f"{key}: missing; path = {self.path!r} needs it")
+        if self.waypoint_yaws_deg and len(self.waypoint_yaws_deg) != len(self.waypoints_m):
+            raise ValueError(
+                f"waypoint_yaws_deg: {len(self.waypoint_yaws_deg)} given for {len(self.waypoints_m)} waypoints_m"
+            )
+        return self
+
+
+class RealTable(_Table):
+    """[real]: what flies, where it differs from what the controller is told above"""
+
+    payload_mass_kg: Positive | None = None
+    thrust_scale: Positive | Annotated[list[Positive], Field(min_length=1)] = 1.0  # N made per N asked
+    attitude_bandwidth_rad_s: Positive | None = None
+
+
+class WindTable(_Table):
+    """[wind]: with the drag areas of payload, vehicle and cable"""
+
+    mean_m_s: Vector
+    gusts: bool = True  # Dryden, MIL-F-8785C
+    height_m: Positive = 6.1  # above ground, for the gusts
+    air_density_kg_m3: Positive = 1.225
+
+
+class SensorsTable(_Table):
+    """[sensors]: standard deviations of white noise on what vehicles and the payload tracker report"""
+
+    position_m: NotNegative = 0.0
+    velocity_m_s: NotNegative = 0.0
+    attitude_deg: NotNegative = 0.0
+    rate_deg_s: NotNegative = 0.0
+    link_direction_deg: NotNegative = 0.0
+    link_rate_deg_s: NotNegative = 0.0
+
+
+class WeightsTable(_Table):
+    """control.weights: left out, the rule that flies everything that ships"""
+
+    position: Positive = Weights().position
+    velocity: Positive = Weights().velocity
+    attitude: Positive = Weights().attitude
+    body_rate: Positive = Weights().body_rate
+    link_direction: Positive = Weights().link_direction
+    link_rate: Positive = Weights().link_rate
+    force: Positive = Weights().force
+    lasting: Positive = Weights().lasting
+
+
+class ControlTable(_Table):
+    """[control]"""
+
+    law: Literal["sampled", "paper"] = "sampled"
+    sensing: Literal["full", "fleet", "vehicles"] = "full"
+    rate_hz: Positive = 250.0
+    delay_ticks: Annotated[int, Field(ge=1, le=50)] = 1
+    weights: WeightsTable = WeightsTable()
+
+    @model_validator(mode="after")
+    def _whole_ms(self) -> "ControlTable":
+        period_ms = 1000.0 / self.rate_hz
+        if abs(period_ms - round(period_ms)) > 1e-9 or round(period_ms) < 1:
+            raise ValueError(
+                f"rate_hz: {self.rate_hz:g} given; the period must be whole milliseconds (1000, 500, 250, 200, 100 ...)"
+            )
+        return self
+
+
+class PhysicsTable(_Table):
+    """[physics]"""
+
+    rate_hz: Positive = 1000.0
+
+    @model_validator(mode="after")
+    def _whole_us(self) -> "PhysicsTable":
+        period_us = 1e6 / self.rate_hz
+        if abs(period_us - round(period_us)) > 1e-6 or round(period_us) < 1:
+            raise ValueError(
+                f"rate_hz: {self.rate_hz:g} given; the step must be whole microseconds (1000, 2000, 5000 ...)"
+            )
+        return self
+
+
+class AcceptanceTable(_Table):
+    """[acceptance]: at the end of the flight; what is not given is not asked."""
+
+    position_error_m: Positive | None = None
+    speed_m_s: Positive | None = None
+    e_q: Positive | None = None
+    psi: Positive | None = None
+    max_psi: Positive | None = None
+    max_thrust_N: Positive | None = None
+    min_tension_N: Real | None = None
+    settling_time_s: Positive | None = None
+    rms_tracking_error_m: Positive | None = None
+    mean_position_error_m: Positive | None = None  # over the last 10 s
+    link_direction_error_deg: Positive | None = None  # rms, where a simulator knows them
+
+
+class FaultTable(_Table):
+    """One direction of one link in [faults]."""
+
+    delay_ms: NotNegative = 0.0
+    jitter_ms: NotNegative = 0.0
+    loss: Share = 0.0
+    burst_loss: Share = 0.0
+    burst_frames: Annotated[float, BeforeValidator(_number), Field(ge=1)] = 10.0
+    duplicate: Share = 0.0
+    reorder: Share = 0.0
+    rate_bytes_s: NotNegative = 0.0
+
+
+class VehicleFaultTable(_Table):
+    """[[faults.vehicles]]: instead of what all vehicles have"""
+
+    vehicle: Annotated[int, Field(ge=1)]
+    down: FaultTable | None = None
+    up: FaultTable | None = None
+
+
+class CutTable(_Table):
+    """[[faults.cuts]]: nothing passes, in time since the release"""
+
+    vehicle: Annotated[int, Field(ge=1)] | None = None  # all of them
+    direction: Literal["down", "up", "both"] = "both"
+    from_s: NotNegative
+    to_s: Positive
+
+    @model_validator(mode="after")
+    def _in_order(self) -> "CutTable":
+        if self.to_s <= self.from_s:
+            raise ValueError(f"to_s: {self.to_s:g} given; it must be later than from_s ({self.from_s:g})")
+        return self
+
+
+class FaultsTable(_Table):
+    """[faults]: what the links do to frames; down is from the vehicle, up is to it"""
+
+    down: FaultTable = FaultTable()
+    up: FaultTable = FaultTable()
+    tracker: FaultTable = FaultTable()
+    vehicles: list[VehicleFaultTable] = []
+    cuts: list[CutTable] = []
+
+
+class LinkTable(_Table):
+    """[link]"""
+
+    connect_timeout_s: Positive = 15.0
+    answer_timeout_s: Positive = 5.0
+
+
+class Scenario(_Table):
+    """One flight, as its file says it."""
+
+    name: Annotated[str, Field(min_length=1, max_length=80, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
+    description: str = ""
+    duration_s: Positive
+    seed: Annotated[int, Field(ge=0)] = 0
+    epoch_s: Annotated[int, Field(ge=0, le=4_000_000_000)] = 1_700_000_000
+    gravity_m_s2: Positive = 9.81
+    payload: PayloadTable
+    vehicle: VehicleTable
+    cable: CableTable
+    vehicles: Annotated[list[OneVehicleTable], Field(min_length=1, max_length=99)]
+    initial: InitialTable
+    target: TargetTable
+    plan: PlanTable = PlanTable()
+    control: ControlTable = ControlTable()
+    real: RealTable = RealTable()
+    wind: WindTable | None = None
+    sensors: SensorsTable = SensorsTable()
+    physics: PhysicsTable = PhysicsTable()
+    link: LinkTable = LinkTable()
+    faults: FaultsTable = FaultsTable()
+    acceptance: AcceptanceTable = AcceptanceTable()
+
+    @model_validator(mode="after")
+    def _fits(self) -> "Scenario":
+        steps = self.physics.rate_hz / self.control.rate_hz
+        if abs(steps - round(steps)) > 1e-9 or steps < 1:
+            raise ValueError(
+                f"physics.rate_hz: {self.physics.rate_hz:g} given; it must be a whole multiple of control.rate_hz "
+                f"({self.control.rate_hz:g})"
+            )
+        scales = self.real.thrust_scale
+        if isinstance(scales, list) and len(scales) != len(self.vehicles):
+            raise ValueError(f"real.thrust_scale: {len(scales)} given; there are {len(self.vehicles)} vehicles")
+        named = [(f"vehicles.{k}", entry.vehicle) for k, entry in enumerate(self.faults.vehicles)]
+        named += [(f"cuts.{k}", cut.vehicle) for k, cut in enumerate(self.faults.cuts) if cut.vehicle is not None]
+        for key, number in named:
+            if number > len(self.vehicles):
+                raise ValueError(f"faults.{key}.vehicle: {number} given; there are {len(self.vehicles)} vehicles")
+        for i, vehicle in enumerate(self.vehicles):
+            directions, cable = vehicle.initial_link_directions, vehicle.cable or self.cable
+            if directions is not None and len(directions) != len(cable.link_lengths_m):
+                raise ValueError(
+                    f"vehicles.{i}.initial_link_directions: {len(directions)} given; the cable has "
+                    f"{len(cable.link_lengths_m)} links"
+                )
+            if directions is not None and any(np.linalg.norm(q) < 1e-6 for q in directions):
+                raise ValueError(f"vehicles.{i}.initial_link_directions: a direction has no length")
+        return self
