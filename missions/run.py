@@ -34,6 +34,7 @@ from cablequad.design import Design
 from cablequad.estimate import Belief, corrected, nothing_seen, predicted
 from cablequad.pilot import Measurement, Sample, first_memory, tick
 from cablequad.reach import reach
+from cablequad.state import positions
 from cablequad.trajectory import at
 from logs.encode import Model
 from logs.recorder import Attachment, RecorderError
@@ -263,6 +264,9 @@ def _warm_up(design: Design, flight: Flight) -> None:
         attitude_target(0, 1, (1.0, 0.0, 0.0, 0.0), 0.5),
     ):
         reread(encode_message(value))
+    lie.normalize(flight.initial.q.copy())
+    lie.quats_from_rotations(sample.R_c)
+    positions(flight.system, flight.initial)
     filter = scenarios.filter(flight)
     if filter is not None:
         belief = Belief(flight.initial.copy(), np.zeros((len(flight.system.m), 3)))
