@@ -15,6 +15,7 @@ from cablequad.state import State, link_poses, positions
 from cablequad.system import System
 from cablequad.types import Array
 from logs.schema import cablequad_pb2 as pb
+from logs.serialize import serialized
 
 COLORS = (  # Okabe-Ito, told apart by colour-blind readers; vehicle i has colour i, wherever it is drawn
     (230, 159, 0), (86, 180, 233), (0, 158, 115), (204, 121, 167), (240, 228, 66), (213, 94, 0), (0, 114, 178),
@@ -41,6 +42,27 @@ class Motion(NamedTuple):
     thrust: Array  # (n,) N
 
 
+class EstimateError(NamedTuple):
+    """The state that a controller went by, less the true one."""
+
+    position: Array  # (3,) m
+    velocity: Array  # (3,) m/s
+    attitude: Array  # (3,) rad, rotation vector in the load's frame
+    rate: Array  # (3,) rad/s
+    link_direction: Array  # (n, L) rad, angle
+    link_rate: Array  # (n, L) rad/s, size
+
+
+def estimate_error(known: State, true: State) -> EstimateError:
+    """How far `known` is off."""
+    cosine = np.minimum(np.maximum(np.einsum("ijk,ijk->ij", known.q, true.q), -1.0), 1.0)
+    turned = known.omega - true.omega
+    return EstimateError(
+        known.x0 - true.x0, known.v0 - true.v0, lie.log(true.R0.T @ known.R0), known.Omega0 - true.Omega0,
+        np.arccos(cosine), np.sqrt(np.einsum("ijk,ijk->ij", turned, turned)),
+    )  # fmt: skip
+
+
 def color(i: int) -> tuple[int, int, int]:
     """Vehicle i's colour, i from 0."""
     return COLORS[i % len(COLORS)]
@@ -53,53 +75,47 @@ def measured_motion(model: Model, sample: Sample, tension: Sequence[float], thru
     return Motion(sample.state, nodes[:, 0], np.zeros_like(nodes[:, 0]), spread, thrust)
 
 
-def plant(boot_us: int, held: bool, m: Motion) -> Any:
+def plant(boot_us: int, held: bool, m: Motion) -> bytes:
     """/plant/state."""
     s = m.state
-    return pb.PlantState(
-        sim_time_ns=boot_us * 1000, step=boot_us // 1000, held=held,
-        payload_position=_list(s.x0), payload_velocity=_list(s.v0),
-        payload_attitude=_list(lie.quat_from_rotation(s.R0)), payload_rate=_list(s.Omega0),
-        quad_position=_list(m.x), quad_velocity=_list(m.v), quad_attitude=_quats(s.R), quad_rate=_list(s.Omega),
-        link_direction=_list(s.q), link_rate=_list(s.omega), tension=_list(m.tension), thrust=_list(m.thrust),
-    )  # fmt: skip
+    return serialized(pb.PlantState, (
+        ("sim_time_ns", boot_us * 1000), ("step", boot_us // 1000), ("held", held),
+        ("payload_position", s.x0), ("payload_velocity", s.v0),
+        ("payload_attitude", lie.quat_from_rotation(s.R0)), ("payload_rate", s.Omega0),
+        ("quad_position", m.x), ("quad_velocity", m.v), ("quad_attitude", _quats(s.R)), ("quad_rate", s.Omega),
+        ("link_direction", _grid(s.q, 40)), ("link_rate", _grid(s.omega, 40)), ("tension", m.tension), ("thrust", m.thrust),
+    ))  # fmt: skip
 
 
-def control(boot_us: int, sample: Sample, tension: Sequence[float], flying: bool, age_s: float) -> Any:
+def control(boot_us: int, sample: Sample, tension: Sequence[float], flying: bool, age_s: float) -> bytes:
     """/control/state."""
     s, e = sample.state, sample.error
-    return pb.ControlState(
-        sim_time_ns=boot_us * 1000, t=sample.t, phase="fly" if flying else "prepare",
-        e_x0=_list(e.x[0:3]), e_v0=_list(e.x_dot[0:3]), Psi_0=sample.Psi_0, e_Omega0=_list(e.x_dot[3:6]),
-        Psi=_list(sample.Psi), e_Omega=_list(s.Omega),
-        e_q=sample.e_q, e_w=sample.e_omega, ideal_force=_list(sample.A), thrust=_list(sample.f),
-        attitude=_quats(sample.R_c), under_way=_list(sample.memory.under_way), state_age=age_s,
-        lasting=_list(sample.memory.lasting), calm=float(sample.memory.calm[0]),
-        position=_list(s.x0), velocity=_list(s.v0), tension=tension,
-        payload_attitude=_list(lie.quat_from_rotation(s.R0)),
-        quad_attitude=_quats(s.R), link_direction=_list(s.q),
-    )  # fmt: skip
+    return serialized(pb.ControlState, (
+        ("sim_time_ns", boot_us * 1000), ("t", sample.t), ("phase", "fly" if flying else "prepare"),
+        ("e_x0", e.x[0:3]), ("e_v0", e.x_dot[0:3]), ("Psi_0", sample.Psi_0), ("e_Omega0", e.x_dot[3:6]),
+        ("Psi", sample.Psi), ("e_Omega", s.Omega),
+        ("e_q", sample.e_q), ("e_w", sample.e_omega), ("ideal_force", sample.A), ("thrust", sample.f),
+        ("attitude", _quats(sample.R_c)), ("under_way", sample.memory.under_way), ("state_age", age_s),
+        ("position", s.x0), ("velocity", s.v0), ("tension", tension),
+        ("payload_attitude", lie.quat_from_rotation(s.R0)),
+        ("quad_attitude", _quats(s.R)), ("link_direction", s.q),
+        ("lasting", sample.memory.lasting), ("calm", sample.memory.calm[0]),
+    ))  # fmt: skip
 
 
-def estimate(boot_us: int, sample: Sample, true: State) -> Any:
+def estimate(boot_us: int, off: EstimateError) -> bytes:
     """/control/estimate."""
-    s = sample.state
-    cosine = np.clip(np.sum(s.q * true.q, axis=-1), -1.0, 1.0)
-    return pb.EstimateError(
-        sim_time_ns=boot_us * 1000, position=_list(s.x0 - true.x0), velocity=_list(s.v0 - true.v0),
-        attitude=_list(lie.log(true.R0.T @ s.R0)), rate=_list(s.Omega0 - true.Omega0),
-        link_direction=_list(np.arccos(cosine)), link_rate=_list(np.linalg.norm(s.omega - true.omega, axis=-1)),
-    )  # fmt: skip
+    return serialized(pb.EstimateError, (("sim_time_ns", boot_us * 1000), *zip(off._fields, off, strict=True)))
 
 
-def reference(boot_us: int, sample: Sample) -> Any:
+def reference(boot_us: int, sample: Sample) -> bytes:
     """/control/reference."""
     r = sample.reference
-    return pb.ControlReference(
-        sim_time_ns=boot_us * 1000, payload_position=_list(r.x0), payload_velocity=_list(r.v0),
-        payload_attitude=_list(lie.quat_from_rotation(sample.R_0d)), link_direction=_list(sample.q_d),
-        payload_acceleration=_list(r.a0), yaw=_list(r.yaw),
-    )  # fmt: skip
+    return serialized(pb.ControlReference, (
+        ("sim_time_ns", boot_us * 1000), ("payload_position", r.x0), ("payload_velocity", r.v0),
+        ("payload_attitude", lie.quat_from_rotation(sample.R_0d)), ("link_direction", sample.q_d),
+        ("payload_acceleration", r.a0), ("yaw", r.yaw),
+    ))  # fmt: skip
 
 
 def log_line(ns: int, kind: str, subject: str, text: str) -> Any:
@@ -137,11 +153,11 @@ def transforms(model: Model, m: Motion, ns: int, first: bool) -> Any:
         half = float(np.sqrt(0.5))
         _transform(out, stamp, "map_enu", "world_ned", np.zeros(3), np.array([0.0, half, half, 0.0]))
     s = m.state
-    _transform(out, stamp, "world_ned", "payload", s.x0, lie.quat_from_rotation(s.R0))
-    middle, turn = link_poses(model.system, s)
-    quats = lie.quats_from_rotations(s.R)
+    _transform(out, stamp, "world_ned", "payload", _drawn(s.x0), _drawn(lie.quat_from_rotation(s.R0)))
+    middle, turn = (_drawn(a) for a in link_poses(model.system, s))
+    quats, x = _drawn(_quats(s.R)), _drawn(m.x)
     for i in range(len(model.system.m)):
-        _transform(out, stamp, "world_ned", f"quad{i + 1}", m.x[i], quats[i])
+        _transform(out, stamp, "world_ned", f"quad{i + 1}", x[i], quats[i])
         for j in range(int(model.system.n_links[i])):
             _transform(out, stamp, "world_ned", _link_frame(i, j), middle[i, j], turn[i, j])
     return out
@@ -151,13 +167,17 @@ def _link_frame(i: int, j: int) -> str:
     return f"cable{i + 1}_link{j + 1}"
 
 
-def _quats(R: Array) -> list[float]:
-    return lie.quats_from_rotations(np.ascontiguousarray(R)).ravel().tolist()
+def _grid(a: Array, bits: int) -> Array:
+    """To 2^-bits: doubles that end in zeros take less room in the file; 20 bits a micrometre, 40 a picometre."""
+    return np.rint(a * 2.0**bits) * 2.0**-bits
 
 
-def _list(a: Array) -> list[float]:
-    """Protobuf takes lists of floats several times quicker than arrays."""
-    return a.ravel().tolist()
+def _drawn(a: Array) -> Array:
+    return _grid(a, 20)
+
+
+def _quats(R: Array) -> Array:
+    return lie.quats_from_rotations(np.ascontiguousarray(R))
 
 
 def _stamp(ns: int) -> Timestamp:

@@ -16,15 +16,14 @@ from typing import Any, NamedTuple
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
-from mcap.writer import CompressionType, Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from cablequad.pilot import Sample
-from cablequad.state import State
 from cablequad.types import Array
 from logs import encode
-from logs.encode import Model, Motion
+from logs.encode import EstimateError, Model, Motion
 from logs.schema import cablequad_pb2 as pb
+from logs.serialize import LogWriter, mavlink_frame
 
 FLUSH_S = 0.5
 SYNC_S = 2.0
@@ -101,6 +100,7 @@ class Recorder:
         self._with_truth = with_truth
         self._begun = time.monotonic()
         self._good_offset = 0
+        self._now_ns = time.time_ns()
         if path.exists():
             raise RecorderError(f"log {path}: exists already; choose another with --out")
         try:
@@ -109,7 +109,7 @@ class Recorder:
             raise RecorderError(f"log {self.part}: another recorder writes it; choose another with --out") from None
         except OSError as error:
             raise RecorderError(f"log {self.part}: {error.strerror}; choose another folder with --out") from None
-        self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+        self._writer = LogWriter(self._file, CHUNK_BYTES)
         self._writer.start(profile="", library="cablequad")
         for item in attachments:
             self._writer.add_attachment(epoch_ns, epoch_ns, item.name, item.media_type, item.data)
@@ -140,15 +140,15 @@ class Recorder:
         tension: list[float],
         flying: bool,
         age_s: float = 0.0,
-        true: State | None = None,
+        off: EstimateError | None = None,
     ) -> None:
         """A control decision; `age_s` is that of the oldest measurement that its state rests on.
 
-        `true` is the state that it was made in, where a simulator told it: errors of the estimate go beside it.
+        `off` says how far that state was from the true one, where a simulator told it.
         """
         self._put(lambda: self._decided(boot_us, sample, tension, flying, age_s))
-        if true is not None:
-            self._put(lambda: self._write("/control/estimate", boot_us, encode.estimate(boot_us, sample, true)))
+        if off is not None:
+            self._put(lambda: self._write("/control/estimate", boot_us, encode.estimate(boot_us, off)))
 
     def event(self, boot_us: int, kind: str, subject: str, text: str) -> None:
         """Something worth a line."""
@@ -212,6 +212,7 @@ class Recorder:
         """Write, and close a chunk when it is time; what comes after a failed write has nowhere to go."""
         if self.error is not None:
             return
+        self._now_ns = time.time_ns()
         try:
             job()
             now = time.monotonic()
@@ -257,7 +258,8 @@ class Recorder:
                 kind.DESCRIPTOR.full_name, "protobuf", build_file_descriptor_set(kind).SerializeToString()
             )
             channel = self._channels[topic] = self._writer.register_channel(topic, "protobuf", schema)
-        self._writer.add_message(channel, self._epoch_ns + boot_us * 1000, message.SerializeToString(), time.time_ns())
+        data = message if isinstance(message, bytes) else message.SerializeToString()
+        self._writer.add_message(channel, self._epoch_ns + boot_us * 1000, data, self._now_ns)
 
     def _truth(self, boot_us: int, held: bool, motion: Motion) -> None:
         self._write("/plant/state", boot_us, encode.plant(boot_us, held, motion))
@@ -271,12 +273,9 @@ class Recorder:
             self._write("/tf", boot_us, encode.transforms(self._model, motion, self._epoch_ns + ns, first))
 
     def _frames_of(self, boot_us: int, direction: str, frames: Sequence[Frame]) -> None:
-        for f in frames:
-            who = "payload" if f.other == TRACKER else f"quad{f.other}"
-            message = pb.MavlinkFrame(
-                frame=f.frame, msgid=f.msgid, sysid=f.system, compid=f.component, seq=f.seq, name=f.name
-            )
-            self._write(f"/mavlink/{who}/{direction}", boot_us, message)
+        for other, *frame in frames:
+            who = "payload" if other == TRACKER else f"quad{other}"
+            self._write(f"/mavlink/{who}/{direction}", boot_us, mavlink_frame(*frame))
 
     def _decided(self, boot_us: int, sample: Sample, tension: list[float], flying: bool, age_s: float) -> None:
         self._write("/control/state", boot_us, encode.control(boot_us, sample, tension, flying, age_s))

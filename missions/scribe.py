@@ -26,7 +26,7 @@ from bridge.wire.dialect import mavlink
 from cablequad.pilot import Sample
 from cablequad.state import State, positions
 from logs import encode
-from logs.encode import Model, Motion
+from logs.encode import Model, Motion, estimate_error
 from logs.recorder import FLUSH_S, Attachment, Frame, Recorder, RecorderError
 from missions.channel import Shapes, put_sample, sample_shapes, take, take_sample
 from missions.tracking import Followed, Following
@@ -233,9 +233,10 @@ class _Ledger:
 
     def _decided(self, boot_us: int, sample: Sample, tension: list[float], flying: bool, age_s: float) -> None:
         true = self._newest.state if self._newest is not None and self._newest.boot_us == boot_us else None
+        off = None if true is None else estimate_error(sample.state, true)
         if flying and not self._ended and true is not None:
-            self._following.take(sample, true, self._used)
-        self._recorder.decided(boot_us, sample, tension, flying, age_s, true)
+            self._following.take(sample, true, off, self._used)
+        self._recorder.decided(boot_us, sample, tension, flying, age_s, off)
 
     def sources(self, down: Connection) -> list[Connection]:
         """What may have something to say."""
@@ -316,7 +317,7 @@ def _child(opening: Opening, down: Connection, up: Connection, truth: Connection
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)  # the bridge's end of the pipe decides
     with contextlib.suppress(OSError):
-        os.nice(10)  # the flight goes first
+        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
     try:
         recorder = Recorder(
             opening.path, opening.model, opening.metadata, opening.attachments, opening.epoch_ns, opening.with_truth,

@@ -28,7 +28,7 @@ class Track:
         self.last = sample
         self.max_psi = max(self.max_psi, float(sample.Psi.max()))
         self.max_thrust_N = max(self.max_thrust_N, float(sample.f.max()))
-        self.following.take(sample, None, self._used)
+        self.following.take(sample, None, None, self._used)
 
     def tension(self, smallest_N: float) -> None:
         """Take the smallest tension of one instant."""

@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cablequad import lie
 from cablequad.pilot import Sample
 from cablequad.state import State
+from logs.encode import EstimateError
 
 SETTLED_M = 0.05
 LAST_S = 10.0  # of the mean
@@ -41,7 +41,7 @@ class Following:
         self._links = self._attitude = 0.0
         self._judged = 0
 
-    def take(self, sample: Sample, true: State | None, used: np.ndarray) -> None:
+    def take(self, sample: Sample, true: State | None, off: EstimateError | None, used: np.ndarray) -> None:
         """`used` (n, L) says which links there are. Without truth the state that was measured stands for it."""
         s = sample.state if true is None else true
         error = math.dist(s.x0.tolist(), sample.reference.x0.tolist())
@@ -57,11 +57,11 @@ class Following:
             self._settled = None
         elif self._settled is None:
             self._settled = sample.t
-        if true is not None:
+        if off is not None:
             self._judged += 1
-            cosine = np.clip(np.sum(sample.state.q * true.q, axis=-1), -1.0, 1.0)
-            self._links += float(np.mean(np.arccos(cosine[used]) ** 2))
-            self._attitude += float(np.sum(lie.log(true.R0.T @ sample.state.R0) ** 2))
+            angles = off.link_direction[used]
+            self._links += float(angles @ angles) / len(angles)
+            self._attitude += float(off.attitude @ off.attitude)
 
     def followed(self) -> Followed | None:
         """The figures so far; None where nothing was flown."""
