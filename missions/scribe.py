@@ -317,7 +317,7 @@ def _child(opening: Opening, down: Connection, up: Connection, truth: Connection
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)  # the bridge's end of the pipe decides
     with contextlib.suppress(OSError):
-        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+        os.nice(10)  # the flight goes first
     try:
         recorder = Recorder(
             opening.path, opening.model, opening.metadata, opening.attachments, opening.epoch_ns, opening.with_truth,
