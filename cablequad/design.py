@@ -38,7 +38,8 @@ class Weights(NamedTuple):
 
 HOVER_N = 10.0
 TILT_DEG = 30.0
-LIGHTEST, HEAVIEST = 0.5, 1.4  # of the vertical force at rest
+LIGHTEST, HEAVIEST = 0.5, 1.2  # of the vertical force at rest, for a while; what lasts comes on top
+FURTHEST = 0.6  # rad
 RESERVE = 0.9  # of the rotors' limit, left for the tilt
 CALM_BEGIN, CALM_END, RETURN_S = 0.25, 0.1, 0.5
 YIELDING, DAMPING, STIFFNESS, LEAD = 3.0, 5.0, 5.0, 0.58
@@ -49,7 +50,8 @@ class Authority(NamedTuple):
 
     tilt: float  # tangent of the largest tilt
     least: Array  # (n,) N, of its vertical part, upwards
-    most: Array  # (n,) N
+    most: Array  # (n,) N, of the thrust too, beyond what the integrals have found to last
+    furthest: float  # rad from a vehicle's attitude to the one it is commanded
     vertical: bool  # thrust makes the vertical part good, f = A_z / (R e3)_z; else the paper's f = -A . R e3
 
 
@@ -195,7 +197,7 @@ def continuous_law(system: System, airframe: Airframe, weights: Weights, period:
     U, D = 3 * n, len(A) // 2
     K = K @ onto
     gains = [K[:, :D], K[:, D:], *(np.zeros((U, width)) for width in (2 * n, 2 * n, U * delay, 6))]
-    no_limit = Authority(np.inf, np.full(n, -np.inf), np.full(n, np.inf), False)
+    no_limit = Authority(np.inf, np.full(n, -np.inf), np.full(n, np.inf), np.inf, False)
     never = Calm(np.inf, np.inf, 1.0, 0.0, 0.0, 0.0, 0, period)
     return _design(system, airframe, period, delay, gains, np.zeros(6), no_limit, never)
 
@@ -262,7 +264,7 @@ def quick_share(system: System, airframe: Airframe) -> float:
 def _authority(system: System, airframe: Airframe) -> Authority:
     hover = -equilibrium_forces(system, equilibrium(system))[:, 2]
     most = np.minimum(HEAVIEST * hover, np.maximum(RESERVE * airframe.max_thrust, hover))
-    return Authority(float(np.tan(np.radians(TILT_DEG))), LIGHTEST * hover, most, True)
+    return Authority(float(np.tan(np.radians(TILT_DEG))), LIGHTEST * hover, most, FURTHEST, True)
 
 
 def _calm(system: System, airframe: Airframe, share: float, period: float) -> Calm:

@@ -114,13 +114,14 @@ def _decide(memory: Memory, s: State, on_hold: bool, reference: Reference, desig
     calm = _calm_share(memory.calm[0], seen.q, form.target.q, system.n_links, design.calm, design.period)
     if calm > 0.0:
         A = (1.0 - calm) * A + calm * (_calm_forces(memory, seen, form, design, yaw) - held)
-    A = _within(A, design.authority)
+    most = design.authority.most + np.maximum(held[:, 2], 0.0)
+    A = _within(A, design.authority, most)
     way_now = np.empty_like(memory.under_way)
     for k in range(len(way_now)):
         way_now[k] = way[k - 1] if k > 0 else A - form.command
     if yaw != 0.0:
         A, way_now = turned(A, yaw), turned(way_now, yaw)
-    R_c, f, Psi = _commands(A, s.R, design.b1, design.authority.vertical, design.airframe.max_thrust, memory.R_c[0])
+    R_c, f, Psi = _commands(A, s.R, design.b1, design.authority, most, design.airframe.max_thrust, memory.R_c[0])
     next_memory = Memory(_shifted(memory.R_c, R_c), _shifted(memory.f, f), way_now, lasting, np.array([calm]))
     e_q, e_omega = _link_errors(system.n_links, seen.q, seen.omega, form.target.q)
     Psi_0 = 0.5 * (3.0 - np.sum(form.target.R0 * seen.R0))
@@ -195,11 +196,11 @@ def _calm_forces(memory: Memory, seen: State, form: Formation, design: Design, y
 
 
 @jit
-def _within(A: Array, limits: Authority) -> Array:
-    """A (n, 3) N with its vertical part and its tilt within the authority."""
+def _within(A: Array, limits: Authority, most: Array) -> Array:
+    """A (n, 3) N with its vertical part and its tilt within the authority; `most` (n,) N upwards."""
     out = A.copy()
     for i in range(A.shape[0]):
-        up = min(max(-A[i, 2], limits.least[i]), limits.most[i])
+        up = min(max(-A[i, 2], limits.least[i]), most[i])
         out[i, 2] = -up
         side = np.sqrt(A[i, 0] ** 2 + A[i, 1] ** 2)
         if side > limits.tilt * up:
@@ -223,7 +224,7 @@ def _horizontal_forces(R: Array, Omega: Array, u_star: Array) -> tuple[Array, Ar
 
 @jit
 def _commands(
-    A: Array, R: Array, b1: Array, vertical: bool, max_thrust: Array, R_before: Array
+    A: Array, R: Array, b1: Array, limits: Authority, most: Array, max_thrust: Array, R_before: Array
 ) -> tuple[Array, Array, Array]:
     n = A.shape[0]
     R_c, f, Psi = np.empty((n, 3, 3)), np.empty(n), np.empty(n)
@@ -231,13 +232,24 @@ def _commands(
         size = np.sqrt(A[i, 0] ** 2 + A[i, 1] ** 2 + A[i, 2] ** 2)
         vanishes = size < 1e-6 or np.sqrt(np.sum(lie.cross(A[i], b1[i]) ** 2)) < 1e-6 * size
         R_c[i] = R_before[i] if vanishes else attitude_of_force(A[i], b1[i])
-        if vertical:
-            thrust = -A[i, 2] / max(R[i, 2, 2], UPRIGHT)
+        R_c[i] = _no_further(R[i], R_c[i], limits.furthest)
+        if limits.vertical:
+            thrust = min(-A[i, 2] / max(R[i, 2, 2], UPRIGHT), most[i])
         else:
             thrust = -(A[i, 0] * R[i, 0, 2] + A[i, 1] * R[i, 1, 2] + A[i, 2] * R[i, 2, 2])
         f[i] = min(max(thrust, 0.0), max_thrust[i])
         Psi[i] = 0.5 * (3.0 - np.sum(R_c[i] * R[i]))
     return R_c, f, Psi
+
+
+@jit
+def _no_further(R: Array, R_c: Array, furthest: float) -> Array:
+    """R_c, or what lies `furthest` rad from R on the way there."""
+    if furthest == np.inf:
+        return R_c
+    turn = lie.log(np.ascontiguousarray(R.T) @ R_c)
+    angle = np.sqrt(turn[0] ** 2 + turn[1] ** 2 + turn[2] ** 2)
+    return R_c if angle <= furthest else R @ lie.exp(furthest / angle * turn)
 
 
 @jit
