@@ -84,7 +84,7 @@ class _Flight:
         self.routes: dict[int, tuple[int, Address]] = {}
         self.pending: list[Received] = []
         self.now_us = 0
-        self.heard_at = self.pending_since = link.now()
+        self.quiet_s = 0.0  # listened for in vain since a frame came; what we do ourselves is nobody's silence
         self.last: tuple[int, float] | None = None
         self.started: float | None = None
         self.ticks = self.missed = self.predicted = 0
@@ -102,12 +102,12 @@ class _Flight:
     def step(self) -> Sample | None:
         """Take what has come in; answer the tick that it completes, if it does."""
         tracker = self.routes.get(TRACKER)
+        begun = self.link.now()
         frames = self.link.poll(0.1, tracker[0] if tracker is not None and not self.pending else None)
         arrived = self.link.now()
-        if frames:
-            self.heard_at = arrived
-            if not self.pending:
-                self.pending_since = arrived
+        self.quiet_s = 0.0 if frames else self.quiet_s + arrived - begun
+        if frames and not self.pending:
+            self.pending_since = arrived
         tracked: int | None = None
         for frame in frames:
             self._route(frame)
@@ -271,7 +271,7 @@ def fly(
             if waiting and link.now() - begun > connect_timeout_s:
                 who = ", ".join(waiting)
                 reason = f"{who}: nothing heard within {connect_timeout_s:g} s; is it running and sending here?"
-            elif link.now() - flight.heard_at > SILENT_S and not waiting:
+            elif flight.quiet_s > SILENT_S and not waiting:
                 reason = f"every vehicle is silent since t = {flight.now_us * 1e-6:.2f} s of their clock"
             elif fleet.failure is not None:
                 reason = fleet.failure
@@ -293,7 +293,7 @@ def _let_go(flight: _Flight) -> None:
     deadline = link.now() + HOLD_S
     fleet.hold(flight.now_us * 1e-6)
     try:
-        while not fleet.at_rest and link.now() < min(deadline, flight.heard_at + SILENT_S):
+        while not fleet.at_rest and link.now() < deadline and flight.quiet_s < SILENT_S:
             flight.step()
         if (
             not fleet.at_rest

@@ -115,13 +115,17 @@ def cost(system: System, weights: Weights) -> tuple[Array, Array]:
     return np.diag(np.array(x + x_dot)), np.diag(np.repeat(w.force * (HOVER_N / hover) ** 2, 3))
 
 
-def flown_model(system: System, airframe: Airframe, period: float, delay: int) -> tuple[Array, Array]:
+def flown_model(
+    system: System, airframe: Airframe, period: float, delay: int, thrust_scale: float = 1.0
+) -> tuple[Array, Array]:
     """(A_d, B_d) of the sampled loop over one `period` s: link dynamics, attitude responses, `delay` ticks under way.
 
-    phi'' = -w^2 (phi - a_xy) - 2 zeta w phi' per vehicle; the vertical force acts at once. Commands are held.
+    phi'' = -w^2 (phi - a_xy) - 2 zeta w phi' per vehicle; the vertical force acts at once. Commands are held. Rotors
+    make `thrust_scale` N of one that is asked.
     """
     n = len(system.m)
     A, B = state_space(system)
+    B = thrust_scale * B
     X = len(A)
     flat = np.kron(np.eye(n), np.eye(3)[:, :2])  # (3 n, 2 n): horizontal forces among all
     upright = np.kron(np.eye(n), np.diag([0.0, 0.0, 1.0]))
@@ -160,10 +164,12 @@ class Loop(NamedTuple):
     rows: list[int]  # of x: what is integrated
 
 
-def sampled_loop(system: System, airframe: Airframe, period: float, delay: int) -> Loop:
+def sampled_loop(
+    system: System, airframe: Airframe, period: float, delay: int, thrust_scale: float = 1.0
+) -> Loop:
     """`flown_model` without what forces cannot reach, with the integrals of what constant forces can hold."""
     reached = reach(system)
-    F, H = flown_model(system, airframe, period, 0)
+    F, H = flown_model(system, airframe, period, 0, thrust_scale)
     rest = np.eye(4 * len(system.m))
     onto = linalg.block_diag(reached.coordinates, reached.coordinates, rest)
     back = linalg.block_diag(reached.shapes, reached.shapes, rest)
@@ -172,6 +178,13 @@ def sampled_loop(system: System, airframe: Airframe, period: float, delay: int) 
     A = np.zeros((S + k, S + k))
     A[:S, :S], A[S:, :S], A[S:, S:] = onto @ F @ back, period * back[rows], np.eye(k)
     return Loop(*delayed(A, np.vstack([onto @ H, np.zeros((k, H.shape[1]))]), delay), onto, back, rows)
+
+
+def undelayed(loop: Loop, delay: int) -> tuple[Array, Array]:
+    """The (F, H) that `delayed` made (A, B) of, for a delay of at least one tick."""
+    U = loop.B.shape[1]
+    S = len(loop.A) - U * delay
+    return loop.A[:S, :S], loop.A[:S, len(loop.A) - U :]
 
 
 def continuous_law(system: System, airframe: Airframe, weights: Weights, period: float, delay: int) -> Design:

@@ -1,17 +1,19 @@
 """What the linear loop says of itself: controllability, poles, and margins at the vehicles' inputs."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from scipy import linalg
 
 from cablequad.attitude import Airframe
-from cablequad.design import Design, loop_gains, sampled_loop, state_space
+from cablequad.design import Design, loop_gains, sampled_loop, state_space, undelayed
 from cablequad.linear import linearize
 from cablequad.reach import coordinate_names
 from cablequad.system import System
 from cablequad.types import Array
 
+LOSS_BISECTIONS, MOMENT_STEPS = 7, 300
 WEAK = 1e-3  # a mode whose PBH margin is below this share of the largest is called weakly controllable
 
 
@@ -90,6 +92,99 @@ def margins(design: Design, airframe: Airframe, period: float, delay: int) -> Ma
     return Margins(
         up, down, per_input[worst][2], delay_ms, names[worst], float(disk), (1 / factor, factor), float(phase), extra
     )
+
+
+def largest_loss(design: Design, airframe: Airframe, period: float, delay: int) -> float:
+    """The share of ticks whose setpoints may all be lost, each tick by itself, before the loop's mean square grows.
+
+    A vehicle goes by its last setpoint; the controller takes what it sent for what is under way. A jump linear system
+    with A_1 (arrived) and A_0 (lost): stable in the mean square iff X -> (1 - p) A_1 X A_1' + p A_0 X A_0' has a
+    spectral radius below one (Costa, Fragoso and Marques). 0 where the loop itself is unstable, at most 0.99.
+    """
+    loop = sampled_loop(design.system, airframe, period, delay)
+    K = loop_gains(design, loop)
+    if np.abs(np.linalg.eigvals(loop.A - loop.B @ K)).max() >= 1:
+        return 0.0
+    F, H = undelayed(loop, delay)
+    arrived, lost = _shrinking(*_jumps(F, H, K, delay))
+    low, high = 0.0, 0.99
+    if not _grows(arrived, lost, high):
+        return high
+    for _ in range(LOSS_BISECTIONS):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if _grows(arrived, lost, middle) else (middle, high)
+    return low
+
+
+def _jumps(F: Array, H: Array, K: Array, delay: int) -> tuple[Array, Array]:
+    """The loop where a tick's setpoints arrive and where they do not.
+
+    States [z, what acts of the last `delay` ticks, newest first, what was sent in them].
+    """
+    S, U = H.shape
+    way = U * delay
+    both = []
+    for arrives in (True, False):
+        A, B = np.zeros((S + 2 * way, S + 2 * way)), np.zeros((S + 2 * way, U))
+        A[:S, :S] = F
+        acts, newest, sent = slice(S + way - U, S + way), slice(S, S + U), slice(S + way, S + way + U)
+        A[:S, acts] = H
+        A[S + U : S + way, S : S + way - U] = np.eye(way - U)
+        A[S + way + U :, S + way : S + 2 * way - U] = np.eye(way - U)
+        B[sent] = np.eye(U)
+        if arrives:
+            B[newest] = np.eye(U)
+        else:
+            A[newest, newest] = np.eye(U)
+        gain = np.zeros((U, S + 2 * way))
+        gain[:, :S], gain[:, S + way :] = K[:, :S], K[:, S:]
+        both.append(A - B @ gain)
+    return both[0], both[1]
+
+
+def _shrinking(arrived: Array, lost: Array) -> tuple[Array, Array]:
+    """Both in coordinates in which `arrived` makes every state smaller, so that growth is seen as soon as it sets in."""
+    L = linalg.cholesky(linalg.solve_discrete_lyapunov(arrived.T, np.eye(len(arrived))), lower=False)
+    back = linalg.solve_triangular(L, np.eye(len(L)))
+    return L @ arrived @ back, L @ lost @ back
+
+
+def _grows(arrived: Array, lost: Array, p: float) -> bool:
+    """Whether second moments grow at a share p of losses, by following them for long enough to see."""
+    X = np.eye(len(arrived))
+    size = 0.0
+    for k in range(MOMENT_STEPS):
+        X = (1.0 - p) * (arrived @ X @ arrived.T) + p * (lost @ X @ lost.T)
+        trace = float(np.trace(X))
+        X /= trace
+        if k >= MOMENT_STEPS // 2:
+            size += np.log(trace)
+    return size > 0.0
+
+
+def unstable_from(loop_at: Callable[[float], Array], good: float, far: float, steps: int = 30) -> float:
+    """The parameter between `good` and `far` from which the matrix `loop_at(parameter)` has a pole outside, or `far`."""
+
+    def holds(value: float) -> bool:
+        return bool(np.abs(np.linalg.eigvals(loop_at(value))).max() < 1)
+
+    for share in np.linspace(0.0, 1.0, 13)[1:]:  # first coarsely, as a loop may come back to life further out
+        at = good + share * (far - good)
+        if not holds(at):
+            inside, outside = good + (share - 1 / 12) * (far - good), at
+            break
+    else:
+        return far
+    for _ in range(steps):
+        middle = 0.5 * (inside + outside)
+        inside, outside = (middle, outside) if holds(middle) else (inside, middle)
+    return float(inside)
+
+
+def mismatched(design: Design, airframe: Airframe, period: float, delay: int, scale: float, system: System) -> Array:
+    """The closed loop's matrix where rotors give `scale` times what is asked and `system` is what flies."""
+    loop = sampled_loop(system, airframe, period, delay, scale)
+    return loop.A - loop.B @ loop_gains(design, loop)
 
 
 def _frequencies(system: System, period: float) -> Array:

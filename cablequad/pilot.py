@@ -18,6 +18,7 @@ from cablequad.turned import about_down, turned, turned_frames, turned_reference
 from cablequad.types import Array, Counts
 
 LASTING_REACH = 0.25  # m and rad: larger errors are not summed faster than this, so that a long way leaves no overshoot
+LITTLE = 0.2  # of the least vertical force, which is always left: a vehicle never turns over
 UPRIGHT = 0.5  # cosine of a vehicle's tilt below which thrust no longer makes up for it
 
 
@@ -114,8 +115,8 @@ def _decide(memory: Memory, s: State, on_hold: bool, reference: Reference, desig
     calm = _calm_share(memory.calm[0], seen.q, form.target.q, system.n_links, design.calm, design.period)
     if calm > 0.0:
         A = (1.0 - calm) * A + calm * (_calm_forces(memory, seen, form, design, yaw) - held)
-    most = design.authority.most + np.maximum(held[:, 2], 0.0)
-    A = _within(A, design.authority, most)
+    least, most = _lasting_limits(design.authority, held)
+    A = _within(A, design.authority.tilt, least, most)
     way_now = np.empty_like(memory.under_way)
     for k in range(len(way_now)):
         way_now[k] = way[k - 1] if k > 0 else A - form.command
@@ -196,16 +197,27 @@ def _calm_forces(memory: Memory, seen: State, form: Formation, design: Design, y
 
 
 @jit
-def _within(A: Array, limits: Authority, most: Array) -> Array:
-    """A (n, 3) N with its vertical part and its tilt within the authority; `most` (n,) N upwards."""
+def _lasting_limits(limits: Authority, held: Array) -> tuple[Array, Array]:
+    """(n,) N: the least and the most upwards, moved by the vertical part of what integrals hold."""
+    least, most = limits.least.copy(), limits.most.copy()
+    for i in range(len(least)):
+        up = held[i, 2]
+        least[i] = max(least[i] + min(up, 0.0), LITTLE * least[i])
+        most[i] += max(up, 0.0)
+    return least, most
+
+
+@jit
+def _within(A: Array, tilt: float, least: Array, most: Array) -> Array:
+    """A (n, 3) N with its vertical part between `least` and `most` (n,) N upwards, and its tilt within the tangent."""
     out = A.copy()
     for i in range(A.shape[0]):
-        up = min(max(-A[i, 2], limits.least[i]), most[i])
+        up = min(max(-A[i, 2], least[i]), most[i])
         out[i, 2] = -up
         side = np.sqrt(A[i, 0] ** 2 + A[i, 1] ** 2)
-        if side > limits.tilt * up:
-            out[i, 0] *= limits.tilt * up / side
-            out[i, 1] *= limits.tilt * up / side
+        if side > tilt * up:
+            out[i, 0] *= tilt * up / side
+            out[i, 1] *= tilt * up / side
     return out
 
 

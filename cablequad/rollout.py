@@ -3,6 +3,8 @@
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
+import numpy as np
+
 from cablequad.attitude import Airframe, Setpoint, fly
 from cablequad.design import Design
 from cablequad.geometric import AttitudeCommand
@@ -10,6 +12,7 @@ from cablequad.integrate import scratch, step
 from cablequad.paper_law import Gains, commands
 from cablequad.pilot import Measurement, Sample, first_memory, tick
 from cablequad.state import State
+from cablequad.system import System
 from cablequad.trajectory import Reference
 from cablequad.types import Array
 
@@ -24,6 +27,15 @@ class Timing(NamedTuple):
     delay: int = 1  # ticks: a setpoint computed from tick k acts from tick k + delay
 
 
+class Mismatch(NamedTuple):
+    """What flies, where it differs from what the design was told."""
+
+    system: System | None = None
+    thrust_scale: float = 1.0  # N made per N asked
+    loss: float = 0.0  # share of ticks whose setpoints never arrive; those before hold
+    seed: int = 0
+
+
 def rollout(
     design: Design,
     airframe: Airframe,
@@ -31,25 +43,31 @@ def rollout(
     initial: State,
     timing: Timing,
     ticks: int,
+    real: Mismatch | None = None,
 ) -> Iterator[Sample]:
-    """The samples of ticks 0 .. `ticks`, the state stepped between them by the design's own model.
+    """The samples of ticks 0 .. `ticks`, the state stepped between them by the design's own model or by what is `real`.
 
     Before the release the pilot already answers the initial state, for long enough that its commands under way at t = 0
     are steady.
     """
-    system = design.system
+    real = real or Mismatch()
+    system = real.system or design.system
+    rng = np.random.default_rng(real.seed)
     h = timing.period / timing.steps
     state = initial.copy()
     work = scratch(system, state)
     memory, sample = tick(first_memory(design), Measurement(0.0, initial, held=True), plan(0.0), design)
     for _ in range(HELD_TICKS):
         memory, sample = tick(memory, Measurement(0.0, initial, held=True), plan(0.0), design)
-    under_way = [Setpoint.attitude(sample.R_c, sample.f)] * timing.delay
+    under_way = [Setpoint.attitude(sample.R_c, real.thrust_scale * sample.f)] * timing.delay
+    last = Setpoint.attitude(sample.R_c, real.thrust_scale * sample.f)
     for k in range(ticks + 1):
         t = k * timing.period
         memory, sample = tick(memory, Measurement(t, state.copy()), plan(t), design)
         yield sample
-        under_way.append(Setpoint.attitude(sample.R_c, sample.f))
+        sent = Setpoint.attitude(sample.R_c, real.thrust_scale * sample.f)
+        last = last if real.loss > 0.0 and rng.random() < real.loss else sent
+        under_way.append(last)
         fly(system, airframe, under_way.pop(0), state, h, timing.steps, work)
 
 

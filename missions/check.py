@@ -12,7 +12,7 @@ from cablequad import lie
 from cablequad.certificate import attitude_gains, certify, higher_order_slope
 from cablequad.design import Design, Weights, continuous_law
 from cablequad.linear import equilibrium
-from cablequad.margins import WEAK, closed_loop_poles, margins, modes
+from cablequad.margins import WEAK, closed_loop_poles, largest_loss, margins, modes
 from cablequad.pilot import Sample
 from cablequad.reach import reach
 from cablequad.rollout import Timing, rollout
@@ -63,6 +63,7 @@ def check(flight: Flight, quick: bool) -> dict[str, Any]:
     out: dict[str, Any] = {
         "scenario": flight.scenario.name,
         "law": c.law,
+        "period_ms": flight.control_us * 1e-3,
         "equilibrium": {
             "load_tilt_deg": math.degrees(tilt),
             "tension_N": hung.tension.tolist(),
@@ -90,6 +91,7 @@ def check(flight: Flight, quick: bool) -> dict[str, Any]:
             "poles_per_s": [[float(r.real), float(r.imag)] for r in sorted(rates, key=lambda r: -r.real)[:12]],
         },
         "margins": margins(design, flight.airframe, period, c.delay_ticks)._asdict(),
+        "largest_loss": largest_loss(design, flight.airframe, period, c.delay_ticks),
         "nominal_flight": {
             "largest_psi": max(float(s.Psi.max()) for s in nominal),
             "largest_commanded_rate_rad_s": _largest_rate(nominal, period),
@@ -315,7 +317,12 @@ def show(result: dict[str, Any], console: Console) -> None:
         f"margins: one input at a time gain x {m['gain_up']:.1f} up, x {m['gain_down']:.2f} down, "
         f"phase {m['phase_deg']:.0f} deg ({m['worst_input']}), delay {m['delay_ms']:.0f} ms; all inputs at once disk "
         f"{m['disk']:.2f} (gain x {m['disk_gain'][0]:.2f} .. {m['disk_gain'][1]:.2f}, "
-        f"phase {m['disk_phase_deg']:.0f} deg), {m['delay_ticks_all']} more ticks of delay"
+        f"phase {m['disk_phase_deg']:.0f} deg), {m['delay_ticks_all']} more ticks of delay "
+        f"({m['delay_ticks_all'] * result['period_ms']:.0f} ms)"
+    )
+    console.print(
+        f"largest loss of setpoints: {100 * result['largest_loss']:.0f} % of all ticks, independent of each other, the "
+        "setpoints before held (mean square stability)"
     )
     _show_certificate(result["certificate"], console)
     if "region_of_attraction" in result:

@@ -131,6 +131,34 @@ def check(
 
 
 @app.command()
+def margins(
+    scenario: ScenarioArgument = "paper-case-1",
+    out: Annotated[Path, typer.Option(help="Folder for the figure.")] = Path("runs"),
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")] = False,
+) -> None:
+    """How much delay, loss and wrong modelling the loop stands: predicted, and measured in simulated flights."""
+    from missions.margins import measure, plot
+    from missions.report import margins_table, working
+    from missions.scenario import ScenarioError
+
+    try:
+        flight = _load(scenario, None, None)
+        out.mkdir(parents=True, exist_ok=True)
+        with working(f"{flight.scenario.name}: flying towards its margins", quiet=as_json):
+            result = measure(flight)
+    except ScenarioError as error:
+        _usage(str(error))
+    except OSError as error:
+        _usage(f"--out {out}: {error.strerror}; choose another folder")
+    result["figure"] = str(out / f"{flight.scenario.name}-margins.png")
+    plot(result, Path(result["figure"]))
+    if as_json:
+        print(json.dumps(result))
+    else:
+        margins_table(result)
+
+
+@app.command()
 def sitl(
     scenario: ScenarioArgument = "paper-case-1",
     speed: SpeedOption = "1",

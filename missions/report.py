@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, TaskID, TextColumn
@@ -93,3 +94,41 @@ def table(s: Summary) -> None:
 
 def _of(value: float | None, form: str) -> str:
     return "-" if value is None else form.format(value)
+
+
+@contextmanager
+def working(text: str, quiet: bool) -> Iterator[None]:
+    """A spinner on a terminal; silence in a pipe or when `quiet`."""
+    if quiet or not sys.stderr.isatty():
+        yield
+        return
+    with Console(stderr=True).status(text):
+        yield
+
+
+def margins_table(result: dict[str, Any]) -> None:
+    """What `cablequad margins` found."""
+    console = Console(width=None if sys.stdout.isatty() else 120, highlight=False)
+    table = Table(title=f"{result['scenario']}: margins, one thing wrong at a time", title_justify="left")
+    for name in ("what", "predicted", "set by", "measured", ""):
+        table.add_column(name, justify="right" if name in ("predicted", "measured") else "left")
+    for row in result["margins"]:
+        cells = [_margin(row, row[key], result["period_ms"]) for key in ("predicted", "measured")]
+        more = "all that was tried" if row["tried_all"] else f"{len(row['flights'])} flights"
+        table.add_row(row["name"], cells[0], row["bound"], cells[1], more)
+    console.print(table)
+    console.print(
+        f"measured: {result['flown_s']:.0f} s of the nonlinear model from {100 * result['kick_m'][0]:.0f} cm beside the "
+        "target on every axis; whole ticks are lost, the setpoints before hold"
+    )
+    console.print(f"figure: {result['figure']}")
+
+
+def _margin(row: dict[str, Any], value: float, period_ms: float) -> str:
+    match row["unit"]:
+        case "ticks":
+            return f"{value:.0f} ticks, {value * period_ms:.0f} ms"
+        case "share":
+            return f"{100 * value:.0f} %"
+        case _:
+            return f"x {value:.2f}"

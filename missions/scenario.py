@@ -3,6 +3,7 @@
 import difflib
 import math
 import tomllib
+from functools import partial
 from importlib import resources
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -158,17 +159,25 @@ def rotation_deg(roll_pitch_yaw: list[float]) -> np.ndarray:
     return lie.exp(yaw * e[2]) @ lie.exp(pitch * e[1]) @ lie.exp(roll * e[0])
 
 
-def _flight(s: Scenario, source: str) -> Flight:
-    def of(vehicle: OneVehicleTable, key: str) -> Any:
-        own = getattr(vehicle, key)
-        return getattr(s.vehicle, key) if own is None else own
+def _of(s: Scenario, vehicle: OneVehicleTable, key: str) -> Any:
+    """A vehicle's own value of a key, or what all have in common."""
+    own = getattr(vehicle, key)
+    return getattr(s.vehicle, key) if own is None else own
 
+
+def system_of(s: Scenario, heavier: float = 1.0) -> System:
+    """The system that a scenario describes, with a load of `heavier` times the mass and inertia."""
+    inertia = heavier * np.asarray(s.payload.inertia_kg_m2 or box_inertia(s.payload.mass_kg, s.payload.box_m))
+    payload = Payload(heavier * s.payload.mass_kg, inertia, [v.attachment_m for v in s.vehicles])
+    quadrotors = [Quadrotor(_of(s, v, "mass_kg"), _of(s, v, "inertia_kg_m2")) for v in s.vehicles]
     cables = [v.cable or s.cable for v in s.vehicles]
-    inertia = s.payload.inertia_kg_m2 or box_inertia(s.payload.mass_kg, s.payload.box_m)
-    attachments = [v.attachment_m for v in s.vehicles]
-    quadrotors = [Quadrotor(of(v, "mass_kg"), of(v, "inertia_kg_m2")) for v in s.vehicles]
     chains = [Cable(c.link_masses_kg, c.link_lengths_m) for c in cables]
-    system = System.of(Payload(s.payload.mass_kg, inertia, attachments), quadrotors, chains, s.gravity_m_s2)
+    return System.of(payload, quadrotors, chains, s.gravity_m_s2)
+
+
+def _flight(s: Scenario, source: str) -> Flight:
+    of = partial(_of, s)
+    system = system_of(s)
     airframe = Airframe(
         np.array([of(v, "attitude_bandwidth_rad_s") for v in s.vehicles], dtype=float),
         np.array([of(v, "attitude_damping") for v in s.vehicles], dtype=float),
@@ -205,14 +214,13 @@ def _flight(s: Scenario, source: str) -> Flight:
         )
     down, up = _faults(s)
     heavier = 1.0 if s.real.payload_mass_kg is None else s.real.payload_mass_kg / s.payload.mass_kg
-    load = Payload(heavier * s.payload.mass_kg, heavier * np.asarray(inertia), attachments)
     bandwidth = s.real.attitude_bandwidth_rad_s
     scale = s.real.thrust_scale
     world = World(
-        System.of(load, quadrotors, chains, s.gravity_m_s2),
+        system_of(s, heavier),
         airframe if bandwidth is None else airframe._replace(bandwidth=np.full(len(s.vehicles), bandwidth)),
         tuple(scale) if isinstance(scale, list) else (scale,) * len(s.vehicles),
-        None if s.wind is None else _air(s, system, [of(v, "drag_area_m2") for v in s.vehicles], cables),
+        None if s.wind is None else _air(s, system, [of(v, "drag_area_m2") for v in s.vehicles]),
         None if s.wind is None else Weather(np.array(s.wind.mean_m_s), s.wind.gusts, s.wind.height_m),
     )
     return Flight(
@@ -221,10 +229,10 @@ def _flight(s: Scenario, source: str) -> Flight:
     )  # fmt: skip
 
 
-def _air(s: Scenario, system: System, vehicles: list[float], cables: list[CableTable]) -> Air:
+def _air(s: Scenario, system: System, vehicles: list[float]) -> Air:
     assert s.wind is not None
     links = np.zeros(system.length.shape)
-    for i, cable in enumerate(cables):
+    for i, cable in enumerate(v.cable or s.cable for v in s.vehicles):
         lengths = np.array(cable.link_lengths_m)
         links[i, : len(lengths)] = cable.drag_area_m2 * lengths / lengths.sum()
     return Air(s.wind.air_density_kg_m3, s.payload.drag_area_m2, np.array(vehicles), links)

@@ -306,11 +306,13 @@ class _Ledger:
 def _encode_once(model: Model) -> None:
     """Compile what encoding calls before anybody waits for it."""
     n, L = model.system.length.shape
-    hanging, still = State.hanging(model.system), np.zeros((n, 3))
+    told = (np.frombuffer(a.tobytes()).reshape(a.shape) for a in State.hanging(model.system))
+    hanging, still = State(*told), np.zeros((n, 3))  # read-only, as what comes by the pipes is: code is compiled for it
     motion = Motion(hanging, still, still, np.zeros((n, L)), np.zeros(n))
     encode.plant(0, True, motion)
     encode.transforms(model, motion, 0, True)
     positions(model.system, hanging)
+    encode.estimate_error(hanging, hanging)
 
 
 def _child(opening: Opening, down: Connection, up: Connection, truth: Connection) -> None:
