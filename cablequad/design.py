@@ -164,9 +164,7 @@ class Loop(NamedTuple):
     rows: list[int]  # of x: what is integrated
 
 
-def sampled_loop(
-    system: System, airframe: Airframe, period: float, delay: int, thrust_scale: float = 1.0
-) -> Loop:
+def sampled_loop(system: System, airframe: Airframe, period: float, delay: int, thrust_scale: float = 1.0) -> Loop:
     """`flown_model` without what forces cannot reach, with the integrals of what constant forces can hold."""
     reached = reach(system)
     F, H = flown_model(system, airframe, period, 0, thrust_scale)

@@ -83,7 +83,8 @@ def plant(boot_us: int, held: bool, m: Motion) -> bytes:
         ("payload_position", s.x0), ("payload_velocity", s.v0),
         ("payload_attitude", lie.quat_from_rotation(s.R0)), ("payload_rate", s.Omega0),
         ("quad_position", m.x), ("quad_velocity", m.v), ("quad_attitude", _quats(s.R)), ("quad_rate", s.Omega),
-        ("link_direction", _grid(s.q, 40)), ("link_rate", _grid(s.omega, 40)), ("tension", m.tension), ("thrust", m.thrust),
+        ("link_direction", _grid(s.q, 40)), ("link_rate", _grid(s.omega, 40)),
+        ("tension", m.tension), ("thrust", m.thrust),
     ))  # fmt: skip
 
 

@@ -273,9 +273,10 @@ class Recorder:
             self._write("/tf", boot_us, encode.transforms(self._model, motion, self._epoch_ns + ns, first))
 
     def _frames_of(self, boot_us: int, direction: str, frames: Sequence[Frame]) -> None:
-        for other, *frame in frames:
-            who = "payload" if other == TRACKER else f"quad{other}"
-            self._write(f"/mavlink/{who}/{direction}", boot_us, mavlink_frame(*frame))
+        for f in frames:
+            who = "payload" if f.other == TRACKER else f"quad{f.other}"
+            envelope = mavlink_frame(f.frame, f.msgid, f.system, f.component, f.seq, f.name)
+            self._write(f"/mavlink/{who}/{direction}", boot_us, envelope)
 
     def _decided(self, boot_us: int, sample: Sample, tension: list[float], flying: bool, age_s: float) -> None:
         self._write("/control/state", boot_us, encode.control(boot_us, sample, tension, flying, age_s))

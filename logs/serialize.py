@@ -18,7 +18,7 @@ from mcap.writer import CompressionType, Writer
 
 _DOUBLE = struct.Struct("<d").pack
 _RECORD = struct.Struct("<BQHIQQ").pack
-_PAIRS = {FieldDescriptor.TYPE_DOUBLE: np.float64, FieldDescriptor.TYPE_FLOAT: np.float32}
+_KINDS: dict[int, type[np.floating]] = {FieldDescriptor.TYPE_DOUBLE: np.float64, FieldDescriptor.TYPE_FLOAT: np.float32}
 
 
 def varint(value: int) -> bytes:
@@ -76,7 +76,7 @@ def _writers(kind: Any) -> dict[str, Callable[[Any], bytes]]:
     out = {}
     for f in kind.DESCRIPTOR.fields:
         if f.is_repeated:
-            out[f.name] = _array(f.number << 3 | 2, _PAIRS[f.type])
+            out[f.name] = _array(f.number << 3 | 2, _KINDS[f.type])
         elif f.type in (f.TYPE_STRING, f.TYPE_BYTES):
             out[f.name] = _text(f.number << 3 | 2)
         elif f.type == f.TYPE_DOUBLE:

@@ -52,6 +52,10 @@ def fly(
             "for the payload tracker."
         ),
     ] = None,
+    script: Annotated[
+        Path | None,
+        typer.Option(help="A Python file whose mission(course) says where the load goes, instead of [plan]."),
+    ] = None,
     out: Annotated[Path, typer.Option(help="Folder for the log and the replay.")] = Path("runs"),
     speed: SpeedOption = "max",
     duration: Annotated[float | None, typer.Option(help="Seconds to fly, instead of the scenario's.")] = None,
@@ -82,7 +86,7 @@ def fly(
     if duration is not None and not (math.isfinite(duration) and duration > 0):
         _usage(f"--duration: {duration} given; seconds above 0 are needed")
     try:
-        flight = _load(scenario, duration, seed, firmware)
+        flight = _load(scenario, duration, seed, firmware, script)
         key = None if signing_key is None else read_key(signing_key)
         ends = tuple(Endpoint.parse(url) for url in connect or ())
         options = Options(ends, out, pace, port_offset, configure or not ends, key, accept_unsigned)
@@ -288,12 +292,18 @@ def main() -> None:
         sys.exit(INTERRUPTED)
 
 
-def _load(scenario: str, duration: float | None, seed: int | None, firmware: str | None = None) -> "Flight":
+def _load(
+    scenario: str,
+    duration: float | None,
+    seed: int | None,
+    firmware: str | None = None,
+    script: Path | None = None,
+) -> "Flight":
     from missions.scenario import load
 
     if firmware not in (None, "px4", "arducopter"):
         _usage(f"--firmware: {firmware!r} given; write px4 or arducopter")
-    return load(scenario, duration, seed, firmware)
+    return load(scenario, duration, seed, firmware, script)
 
 
 def _speed(text: str) -> float:

@@ -140,7 +140,7 @@ def _predicted(design: Design, flight: Flight, which: int) -> tuple[float, str]:
 
 
 def _carries(design: Design, system: System, airframe: Airframe, scale: float) -> bool:
-    """Whether `system` hangs at rest on thrusts that the rotors make and the design asks without its integrals' help."""
+    """Whether `system` hangs at rest on thrusts that the rotors make and the design asks without its integrals."""
     try:
         asked = -equilibrium_forces(system, equilibrium(system))[:, 2] / scale
     except EquilibriumError:
@@ -185,8 +185,9 @@ def plot(result: dict[str, Any], path: Path) -> None:
 
     figure = Figure(figsize=(11.0, 6.4), layout="constrained")
     axes = figure.subplots(2, 3)
-    for ax, row in zip(axes.T.ravel() if len(result["margins"]) == 6 else axes.ravel(), result["margins"], strict=True):
-        for held, marker, shade, label in ((True, "o", "#0072b2", "comes to rest"), (False, "x", "#d55e00", "does not")):
+    outcomes = ((True, "o", "#0072b2", "comes to rest"), (False, "x", "#d55e00", "does not"))
+    for ax, row in zip(axes.T.ravel(), result["margins"], strict=True):
+        for held, marker, shade, label in outcomes:
             points = [(f["value"], f["error_m"]) for f in row["flights"] if f["held"] == held]
             x = [p[0] for p in points]
             y = [min(max(100 * p[1], 1e-2), 1e4) for p in points]

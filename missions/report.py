@@ -113,18 +113,19 @@ def margins_table(result: dict[str, Any]) -> None:
     for name in ("what", "predicted", "set by", "measured", ""):
         table.add_column(name, justify="right" if name in ("predicted", "measured") else "left")
     for row in result["margins"]:
-        cells = [_margin(row, row[key], result["period_ms"]) for key in ("predicted", "measured")]
+        cells = [margin_text(row, row[key], result["period_ms"]) for key in ("predicted", "measured")]
         more = "all that was tried" if row["tried_all"] else f"{len(row['flights'])} flights"
         table.add_row(row["name"], cells[0], row["bound"], cells[1], more)
     console.print(table)
     console.print(
-        f"measured: {result['flown_s']:.0f} s of the nonlinear model from {100 * result['kick_m'][0]:.0f} cm beside the "
-        "target on every axis; whole ticks are lost, the setpoints before hold"
+        f"measured: {result['flown_s']:.0f} s of the nonlinear model from {100 * result['kick_m'][0]:.0f} cm beside "
+        "the target on every axis; whole ticks are lost, the setpoints before hold"
     )
     console.print(f"figure: {result['figure']}")
 
 
-def _margin(row: dict[str, Any], value: float, period_ms: float) -> str:
+def margin_text(row: dict[str, Any], value: float, period_ms: float) -> str:
+    """A margin with its unit."""
     match row["unit"]:
         case "ticks":
             return f"{value:.0f} ticks, {value * period_ms:.0f} ms"

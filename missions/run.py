@@ -341,6 +341,7 @@ def _opening(flight: Flight, design: Design, options: Options) -> Opening:
         [
             Attachment("scenario.toml", "application/toml", flight.source.encode()),
             Attachment("scenario.json", "application/json", s.model_dump_json(indent=1).encode()),
+            *([Attachment("mission.py", "text/x-python", flight.script.encode())] if flight.script else []),
         ],
         s.epoch_s * 10**9,
         with_truth=not options.connect,

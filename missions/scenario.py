@@ -23,7 +23,8 @@ from cablequad.state import State
 from cablequad.stiffness import STABLE, stable_substep
 from cablequad.system import Cable, Payload, Quadrotor, System, box_inertia
 from cablequad.trajectory import Limits, Trajectory, along, at, circle, joined, leg, lemniscate, waypoints
-from missions.tables import CableTable, FaultTable, OneVehicleTable, Scenario
+from missions.course import SETTLE_S, CourseError, course_of
+from missions.tables import FaultTable, OneVehicleTable, Scenario, TargetTable
 from sitl.firmware.parameters import arducopter_parameters, px4_parameters
 from sitl.wind import Weather
 
@@ -59,6 +60,7 @@ class Flight(NamedTuple):
     firmware: tuple[str, ...]  # the persona of each vehicle
     faults_up: tuple[Faults, ...]  # of what each vehicle receives
     faults_down: tuple[Faults, ...]  # of what each vehicle sends, and then of what the tracker sends
+    script: str | None = None  # the text of the mission script that gave the trajectory
 
 
 TICK_US = 4000  # the vehicles speak at 250 Hz, or as often as control asks
@@ -96,8 +98,17 @@ def parse(source: str, name: str) -> Scenario:
         raise ScenarioError(f"scenario {name}: {_explain(error)}") from None
 
 
-def load(name: str, duration_s: float | None = None, seed: int | None = None, firmware: str | None = None) -> Flight:
-    """A flight from a shipped name or a path; what is given replaces what the file says. Raises ScenarioError."""
+def load(
+    name: str,
+    duration_s: float | None = None,
+    seed: int | None = None,
+    firmware: str | None = None,
+    script: Path | None = None,
+) -> Flight:
+    """A flight from a shipped name or a path; what is given replaces what the file says. Raises ScenarioError.
+
+    A script's course replaces [plan], [target] and, where no duration is given, the duration.
+    """
     source = text(name)
     scenario = parse(source, name)
     changes: dict[str, Any] = {}
@@ -111,9 +122,22 @@ def load(name: str, duration_s: float | None = None, seed: int | None = None, fi
     if changes:
         scenario = scenario.model_copy(update=changes)
     try:
-        return _flight(scenario, source)
+        flight = _flight(scenario, source)
+        return flight if script is None else _by_script(flight, script, duration_s)
+    except CourseError as error:
+        raise ScenarioError(str(error)) from None
     except ValueError as error:
         raise ScenarioError(f"scenario {name}: {error}") from None
+
+
+def _by_script(flight: Flight, script: Path, duration_s: float | None) -> Flight:
+    s = flight.scenario
+    course = course_of(script, _start(s, flight.initial, flight.system), _limits(s))
+    end = at(course, course.duration)
+    target = TargetTable(position_m=end.x0.tolist(), yaw_deg=math.degrees(float(end.yaw[0])))
+    seconds = duration_s if duration_s is not None else math.ceil(course.duration + SETTLE_S)
+    changed = s.model_copy(update={"target": target, "duration_s": seconds})
+    return flight._replace(scenario=changed, trajectory=course, script=script.read_text(encoding="utf-8"))
 
 
 def weights(flight: Flight) -> Weights:
@@ -238,12 +262,21 @@ def _air(s: Scenario, system: System, vehicles: list[float]) -> Air:
     return Air(s.wind.air_density_kg_m3, s.payload.drag_area_m2, np.array(vehicles), links)
 
 
+def _limits(s: Scenario) -> Limits:
+    p = s.plan
+    return Limits(p.speed_m_s, p.acceleration_m_s2, p.jerk_m_s3, math.radians(p.yaw_rate_deg_s))
+
+
+def _start(s: Scenario, initial: State, system: System) -> list[float]:
+    """Where the load begins (m) and how it is yawed from how it hangs (rad)."""
+    turned = initial.R0 @ _hanging(system).T
+    return [*s.initial.position_m, math.atan2(turned[1, 0] - turned[0, 1], turned[0, 0] + turned[1, 1])]
+
+
 def _trajectory(s: Scenario, system: System, initial: State) -> Trajectory:
     """From where the load begins, by what [plan] says, to the target."""
     p = s.plan
-    limits = Limits(p.speed_m_s, p.acceleration_m_s2, p.jerk_m_s3, math.radians(p.yaw_rate_deg_s))
-    turned = initial.R0 @ _hanging(system).T
-    start = [*s.initial.position_m, math.atan2(turned[1, 0] - turned[0, 1], turned[0, 0] + turned[1, 1])]
+    limits, start = _limits(s), _start(s, initial, system)
     end = [*s.target.position_m, math.radians(s.target.yaw_deg)]
     if p.path == "target":
         return leg(start, end, limits)

@@ -25,7 +25,7 @@ def largest(run: Run, target: list[float], first: float, last: float) -> float:
 
 
 @pytest.fixture(scope="module")
-def flights(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[dict, Run]]:
+def flights() -> dict[str, tuple[dict, Run]]:
     """Each flight once, when it is first asked for."""
     return {}
 
