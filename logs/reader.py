@@ -1,27 +1,30 @@
-"""MCAP in, whole or truncated; columns as named arrays."""
+"""MCAP in, whole or truncated; columns as named arrays, read by the schema that the file brings."""
 
-from collections.abc import Callable, Iterator
+import io
+import struct
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from google.protobuf import descriptor_pb2, descriptor_pool
+from google.protobuf.descriptor import Descriptor
+from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
-from mcap.reader import NonSeekingReader, make_reader
-from mcap.records import Attachment, Metadata
-from mcap.stream_reader import StreamReader
+from mcap.opcode import Opcode
+from mcap.reader import make_reader
+from mcap.records import Attachment, Channel, Chunk, Message, Metadata, Schema
+from mcap.stream_reader import get_chunk_data_stream
 
-from logs.schema import cablequad_pb2 as pb
+from logs.columns import columns
 
-_TYPES: dict[str, Any] = {
-    "/plant/state": pb.PlantState,
-    "/control/state": pb.ControlState,
-    "/control/reference": pb.ControlReference,
-    "/control/estimate": pb.EstimateError,
-    "/event": pb.Event,
-    "/plant/event": pb.Event,
-    "/perf": pb.Perf,
-}
-
+_RECORD = struct.Struct("<BQ")
+_MESSAGE = struct.Struct("<HIQQ")
+_READ: dict[int, Any] = {
+    Opcode.CHUNK: Chunk, Opcode.MESSAGE: Message, Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel,
+    Opcode.METADATA: Metadata, Opcode.ATTACHMENT: Attachment,
+}  # fmt: skip
+OWN = "cablequad."  # schemas whose topics become columns
 
 EVENTS = ("/event", "/plant/event")
 
@@ -36,6 +39,8 @@ class Entry(NamedTuple):
     topic: str
     log_time: int  # ns
     data: bytes
+    schema: str = ""
+    publish_time: int = 0  # ns, wall clock
 
 
 class Happening(NamedTuple):
@@ -81,21 +86,94 @@ def _guarded(path: Path, read: Callable[[Any], Iterator[Any]]) -> Iterator[Any]:
         file.seek(0)
         try:
             yield from read(file)
-        except (McapError, EOFError, ValueError, OSError, RuntimeError):
+        except (McapError, EOFError, ValueError, OSError, RuntimeError, KeyError, struct.error):
             return
         except Exception as error:  # decompression errors of a cut chunk have no common type
-            if type(error).__module__.split(".")[0] not in ("zstandard", "lz4", "struct"):
+            if type(error).__module__.split(".")[0] not in ("zstandard", "lz4", "struct", "zlib"):
                 raise
+
+
+def _records(file: Any) -> Iterator[Any]:
+    """The records of an open file that somebody reads here, up to its summary. Raises EOFError where it is cut."""
+    file.seek(8)
+    while True:
+        head = file.read(9)
+        if len(head) < 9:
+            raise EOFError
+        opcode, length = _RECORD.unpack(head)
+        if opcode == Opcode.DATA_END:
+            return
+        if opcode not in _READ:
+            file.seek(length, io.SEEK_CUR)  # indexes, mostly
+            continue
+        data = file.read(length)
+        if len(data) < length:
+            raise EOFError
+        yield _parsed(opcode, data)
+
+
+def _parsed(opcode: int, data: bytes) -> Any:
+    stream = ReadDataStream(io.BytesIO(data))
+    return Message.read(stream, len(data)) if opcode == Opcode.MESSAGE else _READ[opcode].read(stream)
+
+
+class _Contents:
+    """What has been read of a file so far: its schemas and channels, and how to walk its chunks."""
+
+    def __init__(self) -> None:
+        self.schemas: dict[int, Schema] = {}
+        self.channels: dict[int, Channel] = {}
+        self.metadata: dict[str, dict[str, str]] = {}
+        self.attachments: dict[str, bytes] = {}
+
+    def entries(self, records: Iterable[Any]) -> Iterator[Entry]:
+        """The messages of `records` in file order; everything else is kept here."""
+        for record in records:
+            match record:
+                case Chunk():
+                    stream, size = get_chunk_data_stream(record, validate_crc=True)
+                    yield from self._walk(stream.read(size))
+                case Message():
+                    yield self._entry(record.channel_id, record.log_time, record.publish_time, record.data)
+                case Schema():
+                    self.schemas[record.id] = record
+                case Channel():
+                    self.channels[record.id] = record
+                case Metadata():
+                    self.metadata[record.name] = dict(record.metadata)
+                case Attachment():
+                    self.attachments[record.name] = record.data
+
+    def _walk(self, data: bytes) -> Iterator[Entry]:
+        at, end = 0, len(data)
+        while at < end:
+            opcode, length = _RECORD.unpack_from(data, at)
+            at += 9
+            if opcode == Opcode.MESSAGE:
+                channel, _, log_time, publish_time = _MESSAGE.unpack_from(data, at)
+                yield self._entry(channel, log_time, publish_time, data[at + 22 : at + length])
+            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                for _ in self.entries([_parsed(opcode, data[at : at + length])]):
+                    pass
+            at += length
+
+    def _entry(self, channel: int, log_time: int, publish_time: int, data: bytes) -> Entry:
+        known = self.channels[channel]
+        schema = self.schemas.get(known.schema_id)
+        return Entry(known.topic, log_time, data, "" if schema is None else schema.name, publish_time)
+
+    def kind_of(self, topic: str) -> Descriptor:
+        """The message type of a topic, as the file describes it."""
+        schema = self.schemas[next(c.schema_id for c in self.channels.values() if c.topic == topic)]
+        pool = descriptor_pool.DescriptorPool()
+        for file in descriptor_pb2.FileDescriptorSet.FromString(schema.data).file:
+            pool.Add(file)
+        return pool.FindMessageTypeByName(schema.name)
 
 
 def entries(path: Path) -> Iterator[Entry]:
     """Every message in file order, as far as the file goes. Raises LogError if it is no MCAP file at all."""
-
-    def read(file: Any) -> Iterator[Entry]:
-        for _, channel, message in NonSeekingReader(file).iter_messages(log_time_order=False):
-            yield Entry(channel.topic, message.log_time, message.data)
-
-    yield from _guarded(path, read)
+    yield from _guarded(path, lambda file: _Contents().entries(_records(file)))
 
 
 def is_complete(path: Path) -> bool:
@@ -109,37 +187,22 @@ def is_complete(path: Path) -> bool:
 
 def read(path: Path) -> Run:
     """The whole log, or what a truncated one holds. Raises LogError if there is nothing to read."""
-    rows: dict[str, list[Any]] = {}
+    contents = _Contents()
+    rows: dict[str, list[bytes]] = {}
+    for entry in _guarded(path, lambda file: contents.entries(_records(file))):
+        if entry.schema.startswith(OWN) and not entry.topic.startswith("/mavlink/"):
+            rows.setdefault(entry.topic, []).append(entry.data)
     events: list[Happening] = []
-    for entry in entries(path):
-        kind = _TYPES.get(entry.topic)
-        if kind is None:
-            continue
-        message = kind.FromString(entry.data)
-        if entry.topic in EVENTS:
-            events.append(Happening(message.sim_time_ns, message.kind, message.subject, message.text))
+    found: dict[str, dict[str, np.ndarray]] = {}
+    for topic, messages in rows.items():
+        try:
+            read_here = columns(contents.kind_of(topic), messages)
+        except (ValueError, KeyError, TypeError) as error:
+            raise LogError(f"log {path}: {topic} cannot be read: {error}") from None
+        if topic in EVENTS:
+            named = (read_here[name].tolist() for name in ("sim_time_ns", "kind", "subject", "text"))
+            events += [Happening(*happening) for happening in zip(*named, strict=True)]
         else:
-            rows.setdefault(entry.topic, []).append(message)
+            found[topic] = read_here
     events.sort(key=lambda event: event.time_ns)
-    columns = {topic: _columns(messages) for topic, messages in rows.items()}
-    metadata: dict[str, dict[str, str]] = {}
-    attachments: dict[str, bytes] = {}
-    for record in _guarded(path, lambda file: StreamReader(file).records):
-        if isinstance(record, Metadata):
-            metadata[record.name] = dict(record.metadata)
-        elif isinstance(record, Attachment):
-            attachments[record.name] = record.data
-    return Run(path, is_complete(path), metadata, attachments, columns, events)
-
-
-def _columns(messages: list[Any]) -> dict[str, np.ndarray]:
-    out: dict[str, np.ndarray] = {}
-    for field in messages[0].DESCRIPTOR.fields:
-        values = [getattr(message, field.name) for message in messages]
-        if field.type == field.TYPE_DOUBLE:
-            out[field.name] = np.array([tuple(v) for v in values] if field.is_repeated else values, dtype=float)
-        elif field.type == field.TYPE_INT64:
-            out[field.name] = np.array(values, dtype=np.int64)
-        else:
-            out[field.name] = np.array(values)
-    return out
+    return Run(path, is_complete(path), contents.metadata, contents.attachments, found, events)

@@ -16,6 +16,7 @@ from mcap.opcode import Opcode
 from mcap.records import Message, MessageIndex
 from mcap.writer import CompressionType, Writer
 
+_KEPT = np.int64(-1 << 12)  # of a double's bits in arrays: to a part in 10^12, which takes a seventh less room
 _DOUBLE = struct.Struct("<d").pack
 _RECORD = struct.Struct("<BQHIQQ").pack
 _KINDS: dict[int, type[np.floating]] = {FieldDescriptor.TYPE_DOUBLE: np.float64, FieldDescriptor.TYPE_FLOAT: np.float32}
@@ -42,7 +43,8 @@ def _head(tag: int, size: int) -> bytes:
 
 def _array(tag: int, kind: type[np.floating]) -> Callable[[Any], bytes]:
     def write(value: Any) -> bytes:
-        data = np.asarray(value, kind).tobytes()
+        a = np.asarray(value, kind)
+        data = a.tobytes() if kind is np.float32 else (np.ascontiguousarray(a).view(np.int64) & _KEPT).tobytes()
         return _head(tag, len(data)) + data if data else b""
 
     return write
