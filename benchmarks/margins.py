@@ -34,7 +34,7 @@ def drawn(seed: int) -> str:
     vehicles = "".join(f"[[vehicles]]\nattachment_m = {place}\n" for place in places)
     return f"""
 name = "drawn-{seed}"
-description = "{n} vehicles, {rate} Hz, attitude {bandwidth} rad/s, {links} links, load {load:.2f} kg, drawn with seed {seed}"
+description = "{n} vehicles, {rate} Hz, attitude {bandwidth} rad/s, {links} links, load {load:.2f} kg"
 duration_s = 10.0
 [payload]
 mass_kg = {load:.3f}
@@ -81,7 +81,7 @@ def main() -> None:
                 table.add_column(row["name"], justify="right")
         period = found[-1]["period_ms"]
         cells = [" / ".join(margin_text(row, row[key], period) for key in ("predicted", "measured")) for row in rows]
-        table.add_row(flight.scenario.description.rsplit(",", 1)[0], *cells)
+        table.add_row(flight.scenario.description, *cells)
     Console(width=190).print(table)
     if arguments.out is not None:
         arguments.out.write_text(json.dumps(found, indent=1) + "\n")

@@ -143,7 +143,7 @@ def _jumps(F: Array, H: Array, K: Array, delay: int) -> tuple[Array, Array]:
 
 
 def _shrinking(arrived: Array, lost: Array) -> tuple[Array, Array]:
-    """Both in coordinates in which `arrived` makes every state smaller, so that growth is seen as soon as it sets in."""
+    """Both in coordinates in which `arrived` makes every state smaller: growth is seen as soon as it sets in."""
     L = linalg.cholesky(linalg.solve_discrete_lyapunov(arrived.T, np.eye(len(arrived))), lower=False)
     back = linalg.solve_triangular(L, np.eye(len(L)))
     return L @ arrived @ back, L @ lost @ back
@@ -163,7 +163,7 @@ def _grows(arrived: Array, lost: Array, p: float) -> bool:
 
 
 def unstable_from(loop_at: Callable[[float], Array], good: float, far: float, steps: int = 30) -> float:
-    """The parameter between `good` and `far` from which the matrix `loop_at(parameter)` has a pole outside, or `far`."""
+    """The parameter between `good` and `far` from which `loop_at(parameter)` has a pole outside, or `far`."""
 
     def holds(value: float) -> bool:
         return bool(np.abs(np.linalg.eigvals(loop_at(value))).max() < 1)

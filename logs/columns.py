@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from google.protobuf import message_factory
-from google.protobuf.descriptor import Descriptor, FieldDescriptor
+from google.protobuf.descriptor import FieldDescriptor
 
 _F = FieldDescriptor
-_REAL = {_F.TYPE_DOUBLE: np.dtype("<f8"), _F.TYPE_FLOAT: np.dtype("<f4")}
+_REAL: dict[int, np.dtype[Any]] = {_F.TYPE_DOUBLE: np.dtype("<f8"), _F.TYPE_FLOAT: np.dtype("<f4")}
 _WHOLE = frozenset({_F.TYPE_INT64, _F.TYPE_INT32, _F.TYPE_UINT64, _F.TYPE_UINT32, _F.TYPE_BOOL, _F.TYPE_ENUM})
 _TEXT = frozenset({_F.TYPE_STRING, _F.TYPE_BYTES})
 
@@ -29,32 +29,33 @@ class _Unlike(Exception):
     """Messages that cannot be read side by side."""
 
 
-def columns(kind: Descriptor, messages: Sequence[bytes]) -> dict[str, np.ndarray]:
+def columns(kind: Any, messages: Sequence[bytes]) -> dict[str, np.ndarray]:
     """One row a message for each field of `kind` that can be a column; fields that a message leaves out are zero.
 
     Repeated numbers give (T, k); numbers (T,); texts (T,) of str. Raises ValueError for bytes that are no such message.
     """
     known = {f.number: f for f in kind.fields if f.type in _REAL or f.type in _WHOLE or f.type in _TEXT}
-    lengths = np.array([len(m) for m in messages])
+    lengths = np.array([len(m) for m in messages], dtype=np.int64)
     found: list[tuple[np.ndarray, dict[str, np.ndarray]]] = []
     for length in np.unique(lengths):
         rows = np.flatnonzero(lengths == length)
-        found += _alike(kind, known, rows, [messages[k] for k in rows])
+        found += _alike(kind, known, rows, [messages[k] for k in rows.tolist()])
     out: dict[str, np.ndarray] = {}
     for f in known.values():
         parts = [(rows, values[f.name]) for rows, values in found if f.name in values]
         repeated = f.is_repeated
+        column: np.ndarray
         if f.type in _TEXT:
             width = max((p.dtype.itemsize for _, p in parts), default=4)
             column = np.zeros(len(messages), dtype=f"U{max(1, width // 4)}")
         elif repeated:
-            width = max((p.shape[1] for _, p in parts), default=0)
+            width = max((p.shape[-1] for _, p in parts), default=0)
             column = np.zeros((len(messages), width), dtype=float)
         else:
             column = np.zeros(len(messages), dtype=float if f.type in _REAL else np.int64)
         for rows, part in parts:
-            if repeated and part.shape[1] != column.shape[1]:
-                column[rows[:, None], np.arange(part.shape[1])] = part
+            if repeated and part.shape[-1] != column.shape[-1]:
+                column[rows[:, None], np.arange(part.shape[-1])] = part
             else:
                 column[rows] = part
         out[f.name] = column.astype(bool) if f.type == f.TYPE_BOOL else column
@@ -62,10 +63,10 @@ def columns(kind: Descriptor, messages: Sequence[bytes]) -> dict[str, np.ndarray
 
 
 def _alike(
-    kind: Descriptor, known: dict[int, Any], rows: np.ndarray, messages: list[bytes]
+    kind: Any, known: dict[int, Any], rows: np.ndarray, messages: list[bytes]
 ) -> list[tuple[np.ndarray, dict[str, np.ndarray]]]:
     """The values of messages of one length, in as many groups as there are layouts."""
-    out = []
+    out: list[tuple[np.ndarray, dict[str, np.ndarray]]] = []
     while len(messages):
         matrix = np.frombuffer(b"".join(messages), np.uint8).reshape(len(messages), -1)
         try:
@@ -144,7 +145,7 @@ def _value(piece: _Piece, matrix: np.ndarray) -> np.ndarray:
     return np.bitwise_or.reduce((part & 127).astype(np.uint64) << shifts, axis=1).view(np.int64)
 
 
-def _one_by_one(kind: Descriptor, known: dict[int, Any], messages: list[bytes]) -> dict[str, np.ndarray]:
+def _one_by_one(kind: Any, known: dict[int, Any], messages: list[bytes]) -> dict[str, np.ndarray]:
     cls = message_factory.GetMessageClass(kind)
     try:
         read = [cls.FromString(m) for m in messages]

@@ -13,10 +13,11 @@ from cablequad import lie
 from cablequad.pilot import Sample
 from cablequad.state import State, link_poses, positions
 from cablequad.system import System
-from cablequad.types import Array
+from cablequad.types import Array, Counts
 from logs.schema import cablequad_pb2 as pb
 from logs.serialize import serialized
 
+SCHEMA_VERSION = 2  # of cablequad.proto; in a log's metadata
 COLORS = (  # Okabe-Ito, told apart by colour-blind readers; vehicle i has colour i, wherever it is drawn
     (230, 159, 0), (86, 180, 233), (0, 158, 115), (204, 121, 167), (240, 228, 66), (213, 94, 0), (0, 114, 178),
 )  # fmt: skip
@@ -50,16 +51,16 @@ class EstimateError(NamedTuple):
     attitude: Array  # (3,) rad, rotation vector in the load's frame
     rate: Array  # (3,) rad/s
     link_direction: Array  # (n, L) rad, angle
-    link_rate: Array  # (n, L) rad/s, size
+    link_rate: Array  # (n,) rad/s, root mean square over the links of a cable
 
 
-def estimate_error(known: State, true: State) -> EstimateError:
+def estimate_error(known: State, true: State, n_links: Counts) -> EstimateError:
     """How far `known` is off."""
     cosine = np.minimum(np.maximum(np.einsum("ijk,ijk->ij", known.q, true.q), -1.0), 1.0)
     turned = known.omega - true.omega
     return EstimateError(
         known.x0 - true.x0, known.v0 - true.v0, lie.log(true.R0.T @ known.R0), known.Omega0 - true.Omega0,
-        np.arccos(cosine), np.sqrt(np.einsum("ijk,ijk->ij", turned, turned)),
+        np.arccos(cosine), np.sqrt(np.einsum("ijk,ijk->i", turned, turned) / n_links),
     )  # fmt: skip
 
 
@@ -83,7 +84,7 @@ def plant(boot_us: int, held: bool, m: Motion) -> bytes:
         ("payload_position", s.x0), ("payload_velocity", s.v0),
         ("payload_attitude", lie.quat_from_rotation(s.R0)), ("payload_rate", s.Omega0),
         ("quad_position", m.x), ("quad_velocity", m.v), ("quad_attitude", _quats(s.R)), ("quad_rate", s.Omega),
-        ("link_direction", _grid(s.q, 40)), ("link_rate", _grid(s.omega, 40)),
+        ("link_direction", _grid(s.q, 34)), ("link_rate", s.omega),
         ("tension", m.tension), ("thrust", m.thrust),
     ))  # fmt: skip
 
@@ -169,7 +170,7 @@ def _link_frame(i: int, j: int) -> str:
 
 
 def _grid(a: Array, bits: int) -> Array:
-    """To 2^-bits: doubles that end in zeros take less room in the file; 20 bits a micrometre, 40 a picometre."""
+    """To 2^-bits: doubles that end in zeros take less room in the file; 20 bits a micrometre."""
     return np.rint(a * 2.0**bits) * 2.0**-bits
 
 

@@ -68,9 +68,9 @@ class Run(NamedTuple):
         for event in self.events:
             if event.kind == "release":
                 return event.time_ns
-        for columns in self.columns.values():
-            if "sim_time_ns" in columns and len(columns["sim_time_ns"]):
-                return int(columns["sim_time_ns"][0])
+        for fields in self.columns.values():
+            if "sim_time_ns" in fields and len(fields["sim_time_ns"]):
+                return int(fields["sim_time_ns"][0])
         return 0
 
 
@@ -174,6 +174,34 @@ class _Contents:
 def entries(path: Path) -> Iterator[Entry]:
     """Every message in file order, as far as the file goes. Raises LogError if it is no MCAP file at all."""
     yield from _guarded(path, lambda file: _Contents().entries(_records(file)))
+
+
+class Copied(NamedTuple):
+    """A message with all that describes it."""
+
+    entry: Entry
+    channel: Channel
+    schema: Schema | None
+
+
+def contents_of(path: Path) -> Iterator[Copied | tuple[str, dict[str, str]] | Attachment]:
+    """Everything in a file, in its order: messages, metadata records (name, values) and attachments.
+
+    Raises LogError if it is no MCAP file at all.
+    """
+    contents = _Contents()
+
+    def read(file: Any) -> Iterator[Copied | tuple[str, dict[str, str]] | Attachment]:
+        for record in _records(file):
+            for entry in contents.entries([record]):
+                channel = next(c for c in contents.channels.values() if c.topic == entry.topic)
+                yield Copied(entry, channel, contents.schemas.get(channel.schema_id))
+            if isinstance(record, Metadata):
+                yield record.name, dict(record.metadata)
+            elif isinstance(record, Attachment):
+                yield record
+
+    yield from _guarded(path, read)
 
 
 def is_complete(path: Path) -> bool:

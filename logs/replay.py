@@ -3,7 +3,6 @@ vehicle is near its limit, and what happened when."""
 
 import json
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import rerun as rr
@@ -11,29 +10,16 @@ import rerun.blueprint as rrb
 
 from cablequad.types import Array
 from logs.encode import color
-from logs.reader import LogError, Run
+from logs.motion import Motion, motion_of, rotate, shade, thin
+from logs.reader import Run
 
 TIMELINE = "sim_time"
-SCENE_HZ = 50.0
 PLOT_HZ = 250.0
 N_PER_M = 14.0  # thrust arrows: newtons a metre
 ARM = 0.17  # m
 AXES = [(213, 94, 0), (0, 158, 115), (0, 114, 178)]  # x, y, z
 FAINT = [(240, 180, 140), (150, 210, 190), (150, 190, 225)]  # their targets
 SLACK = (255, 0, 255)
-
-
-class Motion(NamedTuple):
-    """A run as arrays over time, from the truth where there is one, else from what was measured."""
-
-    t: Array  # (T,) s since the release
-    x0: Array  # (T, 3) m
-    quat0: Array  # (T, 4) wxyz
-    quads: Array  # (T, n, 3) m
-    quats: Array  # (T, n, 4) wxyz
-    nodes: Array  # (T, n, L + 1, 3) m, quadrotor first
-    tension: Array  # (T, n, L) N
-    thrust: Array  # (T, n) N
 
 
 def save(run: Run, path: Path) -> None:
@@ -44,38 +30,6 @@ def save(run: Run, path: Path) -> None:
     log(out, run, motion)
     out.flush()
     out.disconnect()
-
-
-def motion_of(run: Run) -> Motion:
-    """The run's motion at the scene's rate. Raises LogError where the log holds none."""
-    if "model" not in run.metadata:
-        raise LogError(f"log {run.path}: no model in it; it was not written by cablequad or is cut at its very start")
-    model = {key: json.loads(value) for key, value in run.metadata["model"].items()}
-    n_links, length = np.array(model["n_links"]), np.array(model["lengths_m"])
-    rho = np.array(model["attachments_m"])
-    n, L = length.shape
-    truth = run.columns.get("/plant/state")
-    source = truth if truth is not None else run.columns.get("/control/state")
-    if source is None or not len(source["sim_time_ns"]):
-        raise LogError(f"log {run.path}: holds no state to replay")
-    ns = source["sim_time_ns"]
-    rows = _thin(ns, SCENE_HZ)
-    t = (ns[rows] - run.release_ns) * 1e-9
-
-    def of(name: str) -> Array:
-        return np.asarray(source[name][rows], dtype=float)
-
-    q = of("link_direction").reshape(-1, n, L, 3)
-    quat0 = of("payload_attitude")
-    x0 = of("payload_position") if truth is not None else of("position")
-    tied = x0[:, None, :] + _rotate(quat0, rho)
-    used = np.arange(L)[None, :] < n_links[:, None]
-    steps = np.where(used[None, :, :, None], length[None, :, :, None] * q, 0.0)
-    below = np.concatenate([np.cumsum(steps[:, :, ::-1], axis=2)[:, :, ::-1], np.zeros((len(t), n, 1, 3))], axis=2)
-    nodes = tied[:, :, None, :] - below
-    tension = of("tension")
-    tension = tension.reshape(-1, n, L) if truth is not None else np.repeat(tension[:, :, None], L, axis=2)
-    return Motion(t, x0, quat0, nodes[:, :, 0], of("quad_attitude").reshape(-1, n, 4), nodes, tension, of("thrust"))
 
 
 def log(out: rr.RecordingStream, run: Run, m: Motion) -> None:
@@ -174,7 +128,7 @@ def _bodies(out: rr.RecordingStream, m: Motion, model: dict) -> None:
             f"{name}/label", rr.Points3D([(0, 0, -0.12)], radii=[0.0], labels=[f"{i + 1}"], colors=[rgb]), static=True
         )
         out.send_columns(name, when, rr.Transform3D.columns(translation=m.quads[:, i], quaternion=_xyzw(m.quats[:, i])))
-        up = _rotate(m.quats[:, i], np.array([[0.0, 0.0, -1.0]]))[:, 0]
+        up = rotate(m.quats[:, i], np.array([[0.0, 0.0, -1.0]]))[:, 0]
         out.log(f"world/thrust/{i + 1}", rr.Arrows3D.from_fields(colors=[rgb], radii=[0.012]), static=True)
         out.send_columns(
             f"world/thrust/{i + 1}",
@@ -192,7 +146,7 @@ def _cables(out: rr.RecordingStream, m: Motion, n_links: np.ndarray) -> None:
         k = int(n_links[i])
         strips = np.stack([m.nodes[:, i, :k], m.nodes[:, i, 1 : k + 1]], axis=2).reshape(-1, 2, 3)
         pull = m.tension[:, i, :k].reshape(-1)
-        shade = _shade(np.clip(pull / full, 0.0, 1.0))
+        shade = shade(np.clip(pull / full, 0.0, 1.0))
         shade[pull < 0] = SLACK
         radii = np.where(pull < 0, 0.016, 0.009)
         out.send_columns(
@@ -210,7 +164,7 @@ def _plots(out: rr.RecordingStream, run: Run, m: Motion, max_thrust: Array) -> N
     tints = [color(i) for i in range(n)]
     control = run.columns.get("/control/state")
     if control is not None:
-        rows = _thin(control["sim_time_ns"], PLOT_HZ)
+        rows = thin(control["sim_time_ns"], PLOT_HZ)
         t = (control["sim_time_ns"][rows] - run.release_ns) * 1e-9
         e_x, x = control["e_x0"][rows], control["position"][rows]
         e_v, v = control["e_v0"][rows], control["velocity"][rows]
@@ -256,27 +210,5 @@ def _time(t: Array) -> rr.TimeColumn:
     return rr.TimeColumn(TIMELINE, duration=np.rint(t * 1e9).astype("timedelta64[ns]"))
 
 
-def _thin(ns: np.ndarray, hz: float) -> np.ndarray:
-    """Rows at most `hz` times a second, always the first."""
-    slot = (ns - ns[0]) // round(1e9 / hz)
-    return np.flatnonzero(np.diff(slot, prepend=-1) > 0)
-
-
 def _xyzw(quat_wxyz: Array) -> Array:
     return np.roll(quat_wxyz, -1, axis=-1)
-
-
-def _rotate(quat_wxyz: Array, v: Array) -> Array:
-    """(T, k, 3): vectors v (k, 3) turned by each of the quaternions (T, 4)."""
-    w, u = quat_wxyz[:, None, :1], quat_wxyz[:, None, 1:]
-    cross = np.cross(u, v[None])
-    return np.asarray(v[None] + 2.0 * (w * cross + np.cross(u, cross)))
-
-
-def _shade(share: Array) -> np.ndarray:
-    """(k, 3) uint8: dark blue to yellow through teal, even in lightness (cividis' ends), for shares 0..1."""
-    stops = np.array([(60, 80, 140), (70, 130, 150), (140, 170, 110), (253, 231, 60)], dtype=float)
-    at = share * (len(stops) - 1)
-    low = np.minimum(at.astype(int), len(stops) - 2)
-    part = (at - low)[:, None]
-    return np.asarray((1 - part) * stops[low] + part * stops[low + 1], dtype=np.uint8)

@@ -4,9 +4,12 @@ import json
 import math
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NoReturn
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from missions.exits import FAILED, INTERRUPTED, fail, usage
+from missions.log_cli import log_app
 
 if TYPE_CHECKING:
     from missions.scenario import Flight
@@ -21,8 +24,7 @@ app = typer.Typer(
 )
 scenarios_app = typer.Typer(help="List the shipped scenarios, or show one as a starting point.", no_args_is_help=False)
 app.add_typer(scenarios_app, name="scenarios")
-
-FAILED, USAGE, INTERRUPTED = 1, 2, 130
+app.add_typer(log_app, name="log")
 
 ScenarioArgument = Annotated[str, typer.Argument(help="A shipped scenario's name or the path of a TOML file.")]
 PortOffset = Annotated[
@@ -82,9 +84,9 @@ def fly(
 
     pace = _speed(speed)
     if connect and speed != "max":
-        _usage("--speed sets the pace of our own simulator; with --connect the vehicles set it")
+        usage("--speed sets the pace of our own simulator; with --connect the vehicles set it")
     if duration is not None and not (math.isfinite(duration) and duration > 0):
-        _usage(f"--duration: {duration} given; seconds above 0 are needed")
+        usage(f"--duration: {duration} given; seconds above 0 are needed")
     try:
         flight = _load(scenario, duration, seed, firmware, script)
         key = None if signing_key is None else read_key(signing_key)
@@ -93,7 +95,7 @@ def fly(
         with _progress(quiet=as_json) as progress:
             summary, interrupted = run(flight, options, progress)
     except (ScenarioError, LinkError, KeyFileError) as error:
-        _usage(str(error))
+        usage(str(error))
     if replay and summary.log is not None:
         summary = _write_replay(summary)
     if as_json:
@@ -127,7 +129,7 @@ def check(
         console.print(f"[bold]{s.name}[/bold], law = {s.control.law}: {s.description}")
         result = examine(flight, quick)
     except ScenarioError as error:
-        _usage(str(error))
+        usage(str(error))
     if as_json:
         print(json.dumps(result))
     else:
@@ -151,9 +153,9 @@ def margins(
         with working(f"{flight.scenario.name}: flying towards its margins", quiet=as_json):
             result = measure(flight)
     except ScenarioError as error:
-        _usage(str(error))
+        usage(str(error))
     except OSError as error:
-        _usage(f"--out {out}: {error.strerror}; choose another folder")
+        usage(f"--out {out}: {error.strerror}; choose another folder")
     result["figure"] = str(out / f"{flight.scenario.name}-margins.png")
     plot(result, Path(result["figure"]))
     if as_json:
@@ -191,7 +193,7 @@ def sitl(
 
     pace = _speed(speed)
     if faults and math.isinf(pace):
-        _usage("--faults loses what the vehicles send, on which --speed max would wait for ever; give a --speed")
+        usage("--faults loses what the vehicles send, on which --speed max would wait for ever; give a --speed")
     try:
         flight = _load(scenario, None, None, firmware)
         key = None if signing_key is None else read_key(signing_key)
@@ -201,9 +203,9 @@ def sitl(
         )  # fmt: skip
         serve(flight, serving)
     except (ScenarioError, KeyFileError) as error:
-        _usage(str(error))
+        usage(str(error))
     except (LinkError, PhysicsError) as error:
-        _fail(str(error))
+        fail(str(error))
 
 
 @app.command("signing-key")
@@ -214,7 +216,7 @@ def signing_key(file: Annotated[Path, typer.Argument(help="The new file; only yo
     try:
         write_key(file)
     except KeyFileError as error:
-        _usage(str(error))
+        usage(str(error))
     print(file)
 
 
@@ -237,10 +239,10 @@ def replay(
         folder = tempfile.mkdtemp(prefix="cablequad-") if save is None else None
         target = save if save is not None else Path(folder or "") / (run.stem + ".rrd")
         if target.parent and not target.parent.is_dir():
-            _usage(f"--save {target}: the folder {target.parent} does not exist")
+            usage(f"--save {target}: the folder {target.parent} does not exist")
         replays.save(loaded, target)
     except LogError as error:
-        _fail(str(error))
+        fail(str(error))
     if not loaded.complete:
         print(f"cablequad: {run}: the log is cut short; replaying what it holds", file=sys.stderr)
     if screenshot is not None:
@@ -249,7 +251,7 @@ def replay(
         try:
             screenshots(target, {at: screenshot})
         except LogError as error:
-            _fail(str(error))
+            fail(str(error))
         print(screenshot)
         return
     if save is not None:
@@ -258,7 +260,7 @@ def replay(
     try:
         code = subprocess.run([Path(sys.executable).parent / "rerun", target], check=False).returncode
     except OSError as error:
-        _fail(f"the Rerun viewer did not start ({error.strerror}); save the replay with --save and open it elsewhere")
+        fail(f"the Rerun viewer did not start ({error.strerror}); save the replay with --save and open it elsewhere")
     raise typer.Exit(code)
 
 
@@ -280,7 +282,7 @@ def show(name: ScenarioArgument) -> None:
     try:
         typer.echo(text(name), nl=False)
     except ScenarioError as error:
-        _usage(str(error))
+        usage(str(error))
 
 
 def main() -> None:
@@ -302,7 +304,7 @@ def _load(
     from missions.scenario import load
 
     if firmware not in (None, "px4", "arducopter"):
-        _usage(f"--firmware: {firmware!r} given; write px4 or arducopter")
+        usage(f"--firmware: {firmware!r} given; write px4 or arducopter")
     return load(scenario, duration, seed, firmware, script)
 
 
@@ -314,18 +316,8 @@ def _speed(text: str) -> float:
     except ValueError:
         value = math.nan
     if not (math.isfinite(value) and value > 0):
-        _usage(f"--speed: {text!r} given; write max or a factor above 0, such as 1")
+        usage(f"--speed: {text!r} given; write max or a factor above 0, such as 1")
     return value
-
-
-def _usage(text: str) -> NoReturn:
-    print(f"cablequad: {text}", file=sys.stderr)
-    raise typer.Exit(USAGE)
-
-
-def _fail(text: str) -> NoReturn:
-    print(f"cablequad: {text}", file=sys.stderr)
-    raise typer.Exit(FAILED)
 
 
 def _progress(quiet: bool):  # type: ignore[no-untyped-def]

@@ -104,19 +104,24 @@ def course_of(script: Path, start: list[float], limits: Limits) -> Trajectory:
     except (OSError, UnicodeDecodeError) as error:
         why = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
         raise CourseError(f"script {script}: {why}; give a Python file with mission(course)") from None
+    return course_from(source, str(script), start, limits)
+
+
+def course_from(source: str, name: str, start: list[float], limits: Limits) -> Trajectory:
+    """The same from a script's text. Raises CourseError naming the line and what is wrong."""
     course = Course(start, limits)
-    names: dict[str, Any] = {"__name__": "mission", "__file__": str(script)}
+    names: dict[str, Any] = {"__name__": "mission", "__file__": name}
     try:
-        exec(compile(source, str(script), "exec"), names)
+        exec(compile(source, name, "exec"), names)
         mission = names.get("mission")
         if not callable(mission):
             raise CourseError("no function mission(course) in it")
         mission(course)
         return course.trajectory()
     except Exception as error:
-        frames = [f for f in traceback.extract_tb(error.__traceback__) if f.filename == str(script)]
+        frames = [f for f in traceback.extract_tb(error.__traceback__) if f.filename == name]
         line = error.lineno if isinstance(error, SyntaxError) else frames[-1].lineno if frames else None
-        where = f"script {script}" + (f", line {line}" if line else "")
+        where = f"script {name}" + (f", line {line}" if line else "")
         kind = "" if isinstance(error, CourseError) else f"{type(error).__name__}: "
         raise CourseError(f"{where}: {kind}{error}".splitlines()[0]) from None
 

@@ -133,3 +133,28 @@ def margin_text(row: dict[str, Any], value: float, period_ms: float) -> str:
             return f"{100 * value:.0f} %"
         case _:
             return f"x {value:.2f}"
+
+
+def info_table(result: dict[str, Any]) -> None:
+    """What `cablequad log info` found."""
+    console = Console(width=None if sys.stdout.isatty() else 120, highlight=False)
+    run, ended = result["run"], result["result"]
+    whole = "whole" if result["complete"] else "cut short"
+    console.print(
+        f"{result['log']}: {whole}, {result['bytes'] / 1e6:.1f} MB, {result['duration_s']:.2f} s, of which "
+        f"{result['flown_s']:.2f} s flown, {result['messages']} messages"
+    )
+    console.print("  ".join(f"{key}: {value}" for key, value in run.items()), soft_wrap=True)
+    if ended is None:
+        console.print("[bold]no result: the run did not end in order[/bold]")
+    else:
+        verdict = "passed" if ended.get("passed") == "true" else "failed"
+        console.print(f"result: {verdict}, {ended.get('reason', '').strip(chr(34))}")
+    table = Table()
+    for name in ("topic", "schema", "messages", "Hz", "kB", "gaps"):
+        table.add_column(name, justify="left" if name in ("topic", "schema") else "right")
+    for name, t in result["topics"].items():
+        cells = (f"{t['messages']}", f"{t['rate_hz']:g}", f"{t['bytes'] / 1e3:.1f}", f"{t['gaps'] or ''}")
+        table.add_row(name, t["schema"], *cells)
+    console.print(table)
+    console.print(f"attached: {', '.join(result['attachments'])}")

@@ -36,7 +36,7 @@ from cablequad.pilot import Measurement, Sample, first_memory, tick
 from cablequad.reach import reach
 from cablequad.state import positions
 from cablequad.trajectory import at
-from logs.encode import Model
+from logs.encode import SCHEMA_VERSION, Model
 from logs.recorder import Attachment, RecorderError
 from missions import scenario as scenarios
 from missions.scenario import Flight
@@ -201,6 +201,16 @@ def _wire(link: Link, simulator: Simulator | None, tallies: list[Tally], unread:
     }  # fmt: skip
 
 
+def loop_of(flight: Flight) -> Loop:
+    """What the observer of a flight is told of its loop."""
+    c = flight.scenario.control
+    period_ms = flight.control_us // 1000
+    return Loop(
+        flight.system, flight.airframe, period_ms, c.delay_ticks * period_ms, flight.physics_us * 1e-6,
+        scenarios.filter(flight), c.sensing,
+    )  # fmt: skip
+
+
 def _fly(
     flight: Flight,
     design: Design,
@@ -213,12 +223,7 @@ def _fly(
 ) -> tuple[Outcome, Timing]:
     s = flight.scenario
     plan = Plan(lambda t: at(flight.trajectory, t), s.duration_s)
-    period_ms = flight.control_us // 1000
-    delay_ms = s.control.delay_ticks * period_ms
-    sensing = s.control.sensing
-    loop = Loop(
-        flight.system, flight.airframe, period_ms, delay_ms, flight.physics_us * 1e-6, scenarios.filter(flight), sensing
-    )
+    loop, sensing = loop_of(flight), s.control.sensing
     fleet = Fleet(flight.airframe.max_thrust.tolist(), flight.control_us * 1e-6, configure, sensing)
     channels = {
         (TRACKER if i == len(flight.firmware) else i + 1): Channel[Received](faults, generator(s.seed, i + 1, up=False))
@@ -321,6 +326,7 @@ def _opening(flight: Flight, design: Design, options: Options) -> Opening:
         "seed": str(s.seed),
         "started": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
         "cablequad": packages.version("cablequad"),
+        "schema_version": str(SCHEMA_VERSION),
         "python": platform.python_version(),
         "git_commit": _commit(),
         "time": "vehicles' clock" + (" in lockstep" if math.isinf(options.speed) and not options.connect else ""),

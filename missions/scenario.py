@@ -23,7 +23,7 @@ from cablequad.state import State
 from cablequad.stiffness import STABLE, stable_substep
 from cablequad.system import Cable, Payload, Quadrotor, System, box_inertia
 from cablequad.trajectory import Limits, Trajectory, along, at, circle, joined, leg, lemniscate, waypoints
-from missions.course import SETTLE_S, CourseError, course_of
+from missions.course import SETTLE_S, CourseError, course_from, course_of
 from missions.tables import FaultTable, OneVehicleTable, Scenario, TargetTable
 from sitl.firmware.parameters import arducopter_parameters, px4_parameters
 from sitl.wind import Weather
@@ -56,6 +56,7 @@ class Flight(NamedTuple):
     control_us: int
     physics_us: int
     tick_us: int
+    truth_us: int
     notes: list[str]  # what was chosen that the file does not say
     firmware: tuple[str, ...]  # the persona of each vehicle
     faults_up: tuple[Faults, ...]  # of what each vehicle receives
@@ -128,6 +129,23 @@ def load(
         raise ScenarioError(str(error)) from None
     except ValueError as error:
         raise ScenarioError(f"scenario {name}: {error}") from None
+
+
+def restored(resolved: str, source: str, script: str | None) -> Flight:
+    """The flight that a log was written of: its resolved scenario (JSON), its file and its mission script's text.
+
+    Raises ScenarioError where today's tables do not take it.
+    """
+    try:
+        flight = _flight(Scenario.model_validate_json(resolved), source)
+        if script is None:
+            return flight
+        start, limits = _start(flight.scenario, flight.initial, flight.system), _limits(flight.scenario)
+        return flight._replace(trajectory=course_from(script, "mission.py", start, limits), script=script)
+    except ValidationError as error:
+        raise ScenarioError(_explain(error)) from None
+    except ValueError as error:
+        raise ScenarioError(str(error)) from None
 
 
 def _by_script(flight: Flight, script: Path, duration_s: float | None) -> Flight:
@@ -228,6 +246,7 @@ def _flight(s: Scenario, source: str) -> Flight:
     tick_us = TICK_US if control_us % TICK_US == 0 else control_us
     asked_us = round(1e6 / s.physics.rate_hz)
     physics_us = stable_substep(system, asked_us, tick_us)
+    truth_us = _truth_us(s, physics_us, tick_us)
     if physics_us != asked_us:
         notes.append(f"physics step {physics_us} us instead of {asked_us} us: the stiffest link mode needs it")
     fastest = float(airframe.bandwidth.max())
@@ -249,8 +268,21 @@ def _flight(s: Scenario, source: str) -> Flight:
     )
     return Flight(
         s, source, system, airframe, world, _trajectory(s, system, initial), initial, control_us, physics_us,
-        tick_us, notes,        tuple(of(v, "firmware") for v in s.vehicles), up, down,
+        tick_us, truth_us, notes,        tuple(of(v, "firmware") for v in s.vehicles), up, down,
     )  # fmt: skip
+
+
+def _truth_us(s: Scenario, physics_us: int, tick_us: int) -> int:
+    """How often truth is told between ticks: whole physics steps, a whole number of times a tick."""
+    if s.record.truth_rate_hz is None:
+        return tick_us
+    asked = 1e6 / s.record.truth_rate_hz
+    if abs(asked - round(asked)) > 1e-6 or tick_us % round(asked) or round(asked) % physics_us:
+        raise ValueError(
+            f"record.truth_rate_hz: {s.record.truth_rate_hz:g} given; it must be {1e6 / tick_us:g} or a whole multiple "
+            f"of it that divides the physics rate ({1e6 / physics_us:g})"
+        )
+    return round(asked)
 
 
 def _air(s: Scenario, system: System, vehicles: list[float]) -> Air:

@@ -195,6 +195,7 @@ class _Ledger:
         self._recorder = recorder
         self._used = np.arange(model.system.length.shape[1])[None, :] < model.system.n_links[:, None]
         self._shape = model.system.length.shape
+        self._n_links = model.system.n_links
         self._truth: Connection | None = truth
         self._told: deque[Truth | Event] = deque()
         self._answered_us = 0
@@ -233,7 +234,7 @@ class _Ledger:
 
     def _decided(self, boot_us: int, sample: Sample, tension: list[float], flying: bool, age_s: float) -> None:
         true = self._newest.state if self._newest is not None and self._newest.boot_us == boot_us else None
-        off = None if true is None else estimate_error(sample.state, true)
+        off = None if true is None else estimate_error(sample.state, true, self._n_links)
         if flying and not self._ended and true is not None:
             self._following.take(sample, true, off, self._used)
         self._recorder.decided(boot_us, sample, tension, flying, age_s, off)
@@ -312,7 +313,7 @@ def _encode_once(model: Model) -> None:
     encode.plant(0, True, motion)
     encode.transforms(model, motion, 0, True)
     positions(model.system, hanging)
-    encode.estimate_error(hanging, hanging)
+    encode.estimate_error(hanging, hanging, model.system.n_links)
 
 
 def _child(opening: Opening, down: Connection, up: Connection, truth: Connection) -> None:

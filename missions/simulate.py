@@ -49,6 +49,7 @@ def settings(flight: Flight, serving: Serving) -> Settings:
         initial=flight.initial,
         physics_us=flight.physics_us,
         tick_us=flight.tick_us,
+        truth_us=flight.truth_us,
         control_us=flight.control_us,
         delay_us=s.control.delay_ticks * flight.control_us,
         lockstep=serving.lockstep,

@@ -217,6 +217,12 @@ class PhysicsTable(_Table):
         return self
 
 
+class RecordTable(_Table):
+    """[record]"""
+
+    truth_rate_hz: Positive | None = None  # of /plant/state; left out: as often as the vehicles speak
+
+
 class AcceptanceTable(_Table):
     """[acceptance]: at the end of the flight; what is not given is not asked."""
 
@@ -309,6 +315,7 @@ class Scenario(_Table):
     physics: PhysicsTable = PhysicsTable()
     link: LinkTable = LinkTable()
     faults: FaultsTable = FaultsTable()
+    record: RecordTable = RecordTable()
     acceptance: AcceptanceTable = AcceptanceTable()
 
     @model_validator(mode="after")

@@ -45,6 +45,7 @@ class Settings(NamedTuple):
     initial: State
     physics_us: int
     tick_us: int
+    truth_us: int  # between the states that the sink is told; a tick is a whole number of them
     control_us: int  # the tracker's rate, which is the controller's
     delay_us: int
     lockstep: bool
@@ -242,7 +243,10 @@ class Server:
             vehicle.tick(now)
         self._settle(now)
         self.plant.command([vehicle.actuation(own) for vehicle, own in zip(self.vehicles, self._own, strict=True)])
-        self.plant.advance(s.tick_us // s.physics_us)
+        for part in range(1, s.tick_us // s.truth_us + 1):
+            if part > 1 and isinstance(self.plant, Plant):
+                self._sink(self.plant.truth(now + (part - 1) * s.truth_us, *self.plant.kinematics()))
+            self.plant.advance(s.truth_us // s.physics_us)
         self._compose(now + s.tick_us)
 
     def _compose(self, now: int) -> None:

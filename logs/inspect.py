@@ -1,0 +1,147 @@
+"""What a log holds and whether it is sound."""
+
+from collections import defaultdict
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from logs.reader import LogError, entries, is_complete, read
+from logs.schema import cablequad_pb2 as pb
+
+GAP = 5.0  # times a topic's usual interval
+SHOWN = 20  # findings of one kind
+
+
+class Finding(NamedTuple):
+    """Something about a log that its reader should know."""
+
+    serious: bool
+    text: str
+
+
+class Topic(NamedTuple):
+    """One topic of a log."""
+
+    messages: int
+    bytes: int
+    rate_hz: float
+    gaps: int  # intervals of more than five times the usual
+    schema: str
+
+
+def _times(path: Path) -> tuple[dict[str, list[int]], dict[str, int], dict[str, str]]:
+    times: dict[str, list[int]] = defaultdict(list)
+    sizes: dict[str, int] = defaultdict(int)
+    schemas: dict[str, str] = {}
+    for entry in entries(path):
+        times[entry.topic].append(entry.log_time)
+        sizes[entry.topic] += len(entry.data)
+        schemas[entry.topic] = entry.schema
+    return times, sizes, schemas
+
+
+def _gaps(ns: np.ndarray) -> list[tuple[int, int]]:
+    """(from, to) of intervals of a steady topic that are far longer than usual; none where nothing is usual."""
+    steps = np.diff(ns)
+    steps_apart = steps[steps > 0]
+    if len(steps_apart) < 10:
+        return []
+    usual = float(np.median(steps_apart))
+    if np.percentile(steps_apart, 90) > 2 * usual:
+        return []
+    where = np.flatnonzero(steps > GAP * usual)
+    return [(int(ns[k]), int(ns[k + 1])) for k in where]
+
+
+def info(path: Path) -> dict[str, Any]:
+    """Duration, topics, rates, gaps, result, scenario and versions, ready for JSON. Raises LogError."""
+    times, sizes, schemas = _times(path)
+    run = read(path)
+    spans = [ns for ns in times.values() if ns]
+    begin = min((ns[0] for ns in spans), default=0)
+    end = max((ns[-1] for ns in spans), default=0)
+    topics = {}
+    for name, ns in sorted(times.items()):
+        span = (ns[-1] - ns[0]) * 1e-9
+        rate = (len(ns) - 1) / span if span > 0 else 0.0
+        topics[name] = Topic(len(ns), sizes[name], round(rate, 2), len(_gaps(np.array(ns))), schemas[name])._asdict()
+    return {
+        "log": str(path),
+        "bytes": path.stat().st_size,
+        "complete": run.complete,
+        "duration_s": (end - begin) * 1e-9,
+        "flown_s": _flown_s(run.columns),
+        "messages": sum(len(ns) for ns in spans),
+        "topics": topics,
+        "run": run.metadata.get("run", {}),
+        "result": run.metadata.get("result"),
+        "attachments": sorted(run.attachments),
+    }
+
+
+def _flown_s(columns: dict[str, dict[str, np.ndarray]]) -> float:
+    control = columns.get("/control/state")
+    if control is None or not (control["phase"] == "fly").any():
+        return 0.0
+    return float(control["t"][control["phase"] == "fly"].max())
+
+
+def check(path: Path) -> list[Finding]:
+    """What is not as it should be: order of time, gaps, lost sequence numbers, a missing end. Raises LogError."""
+    found: list[Finding] = []
+    if not is_complete(path):
+        found.append(Finding(True, "the file is cut short: no summary at its end (cablequad log salvage makes one)"))
+    times, _, _ = _times(path)
+    if not times:
+        raise LogError(f"log {path}: no message in it")
+    zero = min(ns[0] for ns in times.values())
+    for topic, listed in sorted(times.items()):
+        ns = np.array(listed)
+        back = np.flatnonzero(np.diff(ns) < 0)
+        found += [
+            Finding(
+                True, f"{topic}: time goes back by {-int(np.diff(ns)[k]) / 1e6:g} ms at {(ns[k] - zero) * 1e-9:.3f} s"
+            )
+            for k in back[:SHOWN]
+        ]
+        if topic.startswith("/mavlink/"):
+            continue
+        found += [
+            Finding(topic != "/perf", f"{topic}: nothing from {(a - zero) * 1e-9:.3f} s to {(b - zero) * 1e-9:.3f} s")
+            for a, b in _gaps(ns)[:SHOWN]
+        ]
+    for (topic, system, component), (missing, total) in sorted(lost(path).items()):
+        if missing:
+            what = f"{missing} of {total + missing} frames of {system}/{component} are missing by their numbers"
+            found.append(Finding(False, f"{topic}: {what}"))
+    run = read(path)
+    if "result" not in run.metadata:
+        found.append(Finding(True, "no result: the run did not end in order"))
+    if "run" not in run.metadata:
+        found.append(Finding(True, "no record of what was run"))
+    return found
+
+
+def lost(path: Path) -> dict[tuple[str, int, int], tuple[int, int]]:
+    """(missing, there) of the frames of each sender on each topic, by their sequence numbers.
+
+    A frame that came late fills the gap that it left.
+    """
+    last: dict[tuple[str, int, int], int] = {}
+    out: dict[tuple[str, int, int], list[int]] = {}
+    for entry in entries(path):
+        if not entry.topic.startswith("/mavlink/"):
+            continue
+        f = pb.MavlinkFrame.FromString(entry.data)
+        key = (entry.topic, f.sysid, f.compid)
+        count = out.setdefault(key, [0, 0])
+        count[1] += 1
+        if key in last:
+            gap = (f.seq - last[key] - 1) & 255
+            if gap >= 128:
+                count[0] = max(0, count[0] - 1)
+                continue
+            count[0] += gap
+        last[key] = f.seq
+    return {key: (missing, there) for key, (missing, there) in out.items()}

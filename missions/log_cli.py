@@ -1,0 +1,114 @@
+"""`cablequad log ...`: what can be done with a log besides replaying it."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, TypeVar
+
+import typer
+
+from missions.exits import FAILED, fail, usage
+
+Result = TypeVar("Result")
+
+LogArgument = Annotated[Path, typer.Argument(help="The .mcap log of a run, whole or truncated.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="JSON on stdout, nothing else.")]
+
+log_app = typer.Typer(help="Look into a log, check it, mend it, export it, decide it again.", no_args_is_help=True)
+
+
+@log_app.command("info")
+def log_info(run: LogArgument, as_json: JsonOption = False) -> None:
+    """Duration, topics with their rates and gaps, result, scenario and versions of a log."""
+    from logs.inspect import info
+    from missions.report import info_table
+
+    result = _of_log(info, run)
+    if as_json:
+        print(json.dumps(result))
+    else:
+        info_table(result)
+
+
+@log_app.command("check")
+def log_check(run: LogArgument, as_json: JsonOption = False) -> None:
+    """Whether a log is sound: order of time, gaps, lost sequence numbers, its end. Exit code 1 where it is not."""
+    from logs.inspect import check as examine
+
+    found = _of_log(examine, run)
+    if as_json:
+        print(json.dumps([f._asdict() for f in found]))
+    else:
+        for finding in found:
+            print(f"{'BAD ' if finding.serious else 'note'}  {finding.text}")
+        if not any(f.serious for f in found):
+            print(f"{run}: sound")
+    if any(f.serious for f in found):
+        raise typer.Exit(FAILED)
+
+
+@log_app.command("salvage")
+def log_salvage(
+    run: LogArgument,
+    out: Annotated[Path | None, typer.Option(help="The new file; beside the old one where it is not given.")] = None,
+) -> None:
+    """Copy every whole record of a cut log into a new file with an index."""
+    from logs.export import salvage
+
+    target = out or run.with_name(run.name.removesuffix(".part").removesuffix(".mcap") + "-salvaged.mcap")
+    count = _of_log(lambda path: salvage(path, target), run)
+    print(f"{target}: {count} messages")
+
+
+@log_app.command("export")
+def log_export(
+    run: LogArgument,
+    form: Annotated[
+        str, typer.Option("--format", help="tlog (a file a vehicle), csv or parquet (a file a topic).")
+    ] = "tlog",
+    out: Annotated[Path, typer.Option(help="Folder for the files.")] = Path(),
+) -> None:
+    """Write a log as MAVLink tlogs or as tables."""
+    from logs import export
+    from logs.reader import read
+
+    if form not in ("tlog", "csv", "parquet"):
+        usage(f"--format: {form!r} given; write tlog, csv or parquet")
+    if not out.is_dir():
+        usage(f"--out {out}: no such folder; make it first")
+    written = _of_log(lambda p: export.tlogs(p, out) if form == "tlog" else export.tables(read(p), out, form), run)
+    for path in written:
+        print(path)
+
+
+@log_app.command("replay-control")
+def log_replay_control(run: LogArgument, as_json: JsonOption = False) -> None:
+    """Feed the recorded measurements through today's controller. Exit code 1 where a decision differs."""
+    from missions.redecide import redecide
+
+    result = _of_log(redecide, run)
+    first = result.first
+    if as_json:
+        print(json.dumps({**result._asdict(), "first": None if first is None else first._asdict()}))
+    elif first is None:
+        print(f"{result.decisions} decisions, all as recorded")
+    else:
+        print(
+            f"{result.decisions} decisions; after {first.decided_before} equal ones {first.field} differs by "
+            f"{first.largest:.3g} at t = {first.t_s:.3f} s; largest differences: "
+            + ", ".join(f"{name} {value:.2g}" for name, value in result.largest.items() if value > 0)
+        )
+    if first is not None:
+        raise typer.Exit(FAILED)
+
+
+def _of_log(read: Callable[[Path], Result], run: Path) -> Result:
+    """What `read` makes of a log; where it cannot, a line and exit code 1."""
+    from logs.reader import LogError
+
+    try:
+        return read(run)
+    except LogError as error:
+        fail(str(error))
+    except OSError as error:
+        fail(f"{error.filename or run}: {error.strerror}")
