@@ -6,8 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from logs.reader import LogError, entries, is_complete, read
-from logs.schema import cablequad_pb2 as pb
+from logs.reader import LogError, Run, entries, frame_headers, is_complete, missing_before, read
 
 GAP = 5.0  # times a topic's usual interval
 SHOWN = 20  # findings of one kind
@@ -111,11 +110,11 @@ def check(path: Path) -> list[Finding]:
             Finding(topic != "/perf", f"{topic}: nothing from {(a - zero) * 1e-9:.3f} s to {(b - zero) * 1e-9:.3f} s")
             for a, b in _gaps(ns)[:SHOWN]
         ]
-    for (topic, system, component), (missing, total) in sorted(lost(path).items()):
+    run = read(path)
+    for (topic, system, component), (missing, total) in sorted(lost(run).items()):
         if missing:
             what = f"{missing} of {total + missing} frames of {system}/{component} are missing by their numbers"
             found.append(Finding(False, f"{topic}: {what}"))
-    run = read(path)
     if "result" not in run.metadata:
         found.append(Finding(True, "no result: the run did not end in order"))
     if "run" not in run.metadata:
@@ -123,25 +122,16 @@ def check(path: Path) -> list[Finding]:
     return found
 
 
-def lost(path: Path) -> dict[tuple[str, int, int], tuple[int, int]]:
+def lost(run: Run) -> dict[tuple[str, int, int], tuple[int, int]]:
     """(missing, there) of the frames of each sender on each topic, by their sequence numbers.
 
     A frame that came late fills the gap that it left.
     """
-    last: dict[tuple[str, int, int], int] = {}
-    out: dict[tuple[str, int, int], list[int]] = {}
-    for entry in entries(path):
-        if not entry.topic.startswith("/mavlink/"):
-            continue
-        f = pb.MavlinkFrame.FromString(entry.data)
-        key = (entry.topic, f.sysid, f.compid)
-        count = out.setdefault(key, [0, 0])
-        count[1] += 1
-        if key in last:
-            gap = (f.seq - last[key] - 1) & 255
-            if gap >= 128:
-                count[0] = max(0, count[0] - 1)
-                continue
-            count[0] += gap
-        last[key] = f.seq
-    return {key: (missing, there) for key, (missing, there) in out.items()}
+    out: dict[tuple[str, int, int], tuple[int, int]] = {}
+    for topic, frames in run.frames.items():
+        head = frame_headers(frames)
+        for system, component in sorted(set(zip(head["sysid"].tolist(), head["compid"].tolist(), strict=True))):
+            seq = head["seq"][(head["sysid"] == system) & (head["compid"] == component)]
+            gaps = missing_before(seq)
+            out[topic, system, component] = (max(0, int(gaps.sum())), len(seq))
+    return out

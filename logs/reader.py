@@ -52,6 +52,13 @@ class Happening(NamedTuple):
     text: str
 
 
+class Frames(NamedTuple):
+    """The raw MAVLink envelopes of one topic."""
+
+    time_ns: list[int]  # log time less the epoch is the vehicles' clock
+    data: list[bytes]
+
+
 class Run(NamedTuple):
     """A log in memory."""
 
@@ -61,6 +68,8 @@ class Run(NamedTuple):
     attachments: dict[str, bytes]
     columns: dict[str, dict[str, np.ndarray]]  # topic -> field -> one row a message
     events: list[Happening]
+    frames: dict[str, Frames]  # by topic
+    epoch_ns: int = 0  # log time where the vehicles' clock is zero
 
     @property
     def release_ns(self) -> int:
@@ -217,9 +226,19 @@ def read(path: Path) -> Run:
     """The whole log, or what a truncated one holds. Raises LogError if there is nothing to read."""
     contents = _Contents()
     rows: dict[str, list[bytes]] = {}
+    frames: dict[str, Frames] = {}
+    first: dict[str, int] = {}
     for entry in _guarded(path, lambda file: contents.entries(_records(file))):
-        if entry.schema.startswith(OWN) and not entry.topic.startswith("/mavlink/"):
-            rows.setdefault(entry.topic, []).append(entry.data)
+        if entry.topic.startswith("/mavlink/"):
+            if entry.topic not in frames:
+                frames[entry.topic] = Frames([], [])
+            kept = frames[entry.topic]
+            kept.time_ns.append(entry.log_time)
+            kept.data.append(entry.data)
+        elif entry.schema.startswith(OWN):
+            if entry.topic not in rows:
+                rows[entry.topic], first[entry.topic] = [], entry.log_time
+            rows[entry.topic].append(entry.data)
     events: list[Happening] = []
     found: dict[str, dict[str, np.ndarray]] = {}
     for topic, messages in rows.items():
@@ -233,4 +252,28 @@ def read(path: Path) -> Run:
         else:
             found[topic] = read_here
     events.sort(key=lambda event: event.time_ns)
-    return Run(path, is_complete(path), contents.metadata, contents.attachments, found, events)
+    epoch_ns = next((first[topic] - int(c["sim_time_ns"][0]) for topic, c in found.items()), 0)
+    return Run(path, is_complete(path), contents.metadata, contents.attachments, found, events, frames, epoch_ns)
+
+
+def frame_headers(frames: Frames) -> dict[str, np.ndarray]:
+    """sysid, compid and seq (T,) of the frames of one topic, of either version of MAVLink."""
+    heads = np.frombuffer(b"".join([envelope[:11].ljust(11, b"\0") for envelope in frames.data]), np.uint8).reshape(
+        -1, 11
+    )
+    rows = np.arange(len(heads))
+    at = np.where(heads[:, 1] > 127, 3, 2)  # behind the field's tag and length
+    first = at + np.where(heads[rows, at] == 0xFD, 4, 2)
+    names = ("seq", "sysid", "compid")
+    return {name: heads[rows, np.minimum(first + k, 10)].astype(int) for k, name in enumerate(names)}
+
+
+def missing_before(seq: np.ndarray) -> np.ndarray:
+    """(T,) how many frames of one sender are missing before each; -1 where one comes late and fills a gap."""
+    steps = ((np.diff(seq, prepend=seq[:1]) + 128) & 255) - 128
+    count = np.cumsum(steps)
+    newest = np.maximum.accumulate(count)
+    before = np.concatenate([count[:1] - 1, newest[:-1]])
+    first = np.zeros(len(seq), dtype=bool)
+    first[np.unique(count, return_index=True)[1]] = True
+    return np.where(count > before, count - before - 1, np.where(first, -1, 0))

@@ -42,3 +42,8 @@ def screenshots(rrd: Path, shots: dict[float, Path], port: int = 9913) -> None:
             viewer.save_screenshot(str(png))
     finally:
         viewer.quit()
+
+
+def served(port: int) -> list[str]:
+    """Arguments of the `rerun` command that serve a recording to browsers on this machine alone."""
+    return ["--serve-web", "--bind", "127.0.0.1", "--web-viewer-port", str(port), "--port", str(port + 1)]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from missions.exits import FAILED, INTERRUPTED, fail, usage
-from missions.log_cli import log_app
+from missions.log_cli import log_app, report
 
 if TYPE_CHECKING:
     from missions.scenario import Flight
@@ -25,6 +25,7 @@ app = typer.Typer(
 scenarios_app = typer.Typer(help="List the shipped scenarios, or show one as a starting point.", no_args_is_help=False)
 app.add_typer(scenarios_app, name="scenarios")
 app.add_typer(log_app, name="log")
+app.command()(report)
 
 ScenarioArgument = Annotated[str, typer.Argument(help="A shipped scenario's name or the path of a TOML file.")]
 PortOffset = Annotated[
@@ -223,11 +224,14 @@ def signing_key(file: Annotated[Path, typer.Argument(help="The new file; only yo
 @app.command()
 def replay(
     run: Annotated[Path, typer.Argument(help="The .mcap log of a run, whole or truncated.")],
+    other: Annotated[Path | None, typer.Argument(help="A second run, drawn as a ghost beside the first.")] = None,
     save: Annotated[Path | None, typer.Option(help="Write the replay here instead of opening the viewer.")] = None,
     screenshot: Annotated[Path | None, typer.Option(help="Save a picture here instead, without a screen.")] = None,
     at: Annotated[float, typer.Option(help="Time of the picture, in seconds since the release.")] = 0.0,
+    serve: Annotated[bool, typer.Option("--serve", help="Serve it to web browsers on 127.0.0.1 until Ctrl-C.")] = False,
+    port: Annotated[int, typer.Option(help="With --serve: the page's port; the next one carries the data.")] = 9090,
 ) -> None:
-    """Open a run in Rerun, save it as an .rrd, or save a picture of it."""
+    """Open a run in Rerun (two side by side), save it as an .rrd, serve it to a browser, or save a picture of it."""
     import subprocess
     import tempfile
 
@@ -236,15 +240,17 @@ def replay(
 
     try:
         loaded = read(run)
+        second = None if other is None else read(other)
         folder = tempfile.mkdtemp(prefix="cablequad-") if save is None else None
         target = save if save is not None else Path(folder or "") / (run.stem + ".rrd")
         if target.parent and not target.parent.is_dir():
             usage(f"--save {target}: the folder {target.parent} does not exist")
-        replays.save(loaded, target)
+        replays.save(loaded, target, second)
     except LogError as error:
         fail(str(error))
-    if not loaded.complete:
-        print(f"cablequad: {run}: the log is cut short; replaying what it holds", file=sys.stderr)
+    for log in (loaded, second):
+        if log is not None and not log.complete:
+            print(f"cablequad: {log.path}: the log is cut short; replaying what it holds", file=sys.stderr)
     if screenshot is not None:
         from logs.screenshot import screenshots
 
@@ -257,10 +263,17 @@ def replay(
     if save is not None:
         print(target)
         return
+    viewer: list[str | Path] = [Path(sys.executable).parent / "rerun", target]
+    if serve:
+        from logs.screenshot import served
+
+        viewer += served(port)
     try:
-        code = subprocess.run([Path(sys.executable).parent / "rerun", target], check=False).returncode
+        code = subprocess.run(viewer, check=False).returncode
     except OSError as error:
         fail(f"the Rerun viewer did not start ({error.strerror}); save the replay with --save and open it elsewhere")
+    except KeyboardInterrupt:
+        code = 0
     raise typer.Exit(code)
 
 

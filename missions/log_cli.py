@@ -112,3 +112,45 @@ def _of_log(read: Callable[[Path], Result], run: Path) -> Result:
         fail(str(error))
     except OSError as error:
         fail(f"{error.filename or run}: {error.strerror}")
+
+
+def report(
+    run: LogArgument,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for the page and its figures; beside the log if not given.")
+    ] = None,
+    at: Annotated[
+        list[float] | None, typer.Option(help="Seconds since the release of a snapshot; may be given several times.")
+    ] = None,
+    video: Annotated[
+        Path | None, typer.Option(help="Write a moving picture here as well: .gif, or .mp4 with ffmpeg.")
+    ] = None,
+    video_seconds: Annotated[float | None, typer.Option(help="How much of the run the moving picture shows.")] = None,
+    video_speed: Annotated[float, typer.Option(help="How many times as fast.")] = 1.0,
+) -> None:
+    """Write a run as one HTML page with figures (PNG, PDF): the paper's Figures 2 to 5, tensions, links, verdict."""
+    from logs import figures, page
+    from logs import video as videos
+    from logs.reader import read
+    from missions.report import working
+
+    folder = out or run.parent
+    if not folder.is_dir():
+        usage(f"--out {folder}: no such folder; make it first")
+    if not video_speed > 0:
+        usage(f"--video-speed: {video_speed} given; a factor above 0 is needed")
+
+    def write(path: Path) -> Path:
+        loaded = read(path)
+        drawn = figures.save(loaded, folder, at)
+        target = folder / f"{path.name.removesuffix('.part').removesuffix('.mcap')}-report.html"
+        target.write_text(page.page(loaded, drawn), encoding="utf-8")
+        if video is not None:
+            videos.save(loaded, video, video_seconds, video_speed)
+        return target
+
+    with working(f"{run.name}: drawing", quiet=False):
+        target = _of_log(write, run)
+    print(target)
+    if video is not None:
+        print(video)
