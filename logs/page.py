@@ -82,7 +82,7 @@ def _json(value: str) -> Any:
 def _summary(result: Mapping[str, Any]) -> list[tuple[str, ...]]:
     asked = {c["name"]: c for c in result.get("criteria") or []}
     names = {"final_position_error_m": "position_error_m", "final_speed_m_s": "speed_m_s", "final_e_q": "e_q"}
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for key, text, unit in FIGURES:
         value = result.get(key)
         if value is None:
@@ -95,7 +95,7 @@ def _summary(result: Mapping[str, Any]) -> list[tuple[str, ...]]:
 
 
 def _links(run: Run) -> list[tuple[str, ...]]:
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for topic, frames in sorted(run.frames.items()):
         head = frame_headers(frames)
         sender = head["sysid"] * 256 + head["compid"]

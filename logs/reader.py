@@ -153,6 +153,39 @@ class _Contents:
                 case Attachment():
                     self.attachments[record.name] = record.data
 
+    def collect(self, records: Iterable[Any], into: dict[int, Frames]) -> None:
+        """The messages of `records` by channel, without an object for each; everything else is kept here."""
+        for record in records:
+            if not isinstance(record, Chunk):
+                for entry in self.entries([record]):
+                    channel = next(c.id for c in self.channels.values() if c.topic == entry.topic)
+                    kept = self._kept(into, channel)
+                    kept.time_ns.append(entry.log_time)
+                    kept.data.append(entry.data)
+                continue
+            stream, size = get_chunk_data_stream(record, validate_crc=True)
+            data, at, append = stream.read(size), 0, {}
+            while at < size:
+                opcode, length = _RECORD.unpack_from(data, at)
+                at += 9
+                end = at + length
+                if opcode == Opcode.MESSAGE:
+                    channel, _, log_time, _ = _MESSAGE.unpack_from(data, at)
+                    if channel not in append:
+                        kept = self._kept(into, channel)
+                        append[channel] = (kept.time_ns.append, kept.data.append)
+                    time, body = append[channel]
+                    time(log_time)
+                    body(data[at + 22 : end])
+                elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                    self.collect([_parsed(opcode, data[at:end])], into)
+                at = end
+
+    def _kept(self, into: dict[int, Frames], channel: int) -> Frames:
+        if channel not in self.channels:
+            raise KeyError(channel)
+        return into.setdefault(channel, Frames([], []))
+
     def _walk(self, data: bytes) -> Iterator[Entry]:
         at, end = 0, len(data)
         while at < end:
@@ -225,20 +258,24 @@ def is_complete(path: Path) -> bool:
 def read(path: Path) -> Run:
     """The whole log, or what a truncated one holds. Raises LogError if there is nothing to read."""
     contents = _Contents()
+    by_channel: dict[int, Frames] = {}
+
+    def collect(file: Any) -> Iterator[None]:
+        contents.collect(_records(file), by_channel)
+        yield
+
+    for _ in _guarded(path, collect):
+        pass
     rows: dict[str, list[bytes]] = {}
     frames: dict[str, Frames] = {}
     first: dict[str, int] = {}
-    for entry in _guarded(path, lambda file: contents.entries(_records(file))):
-        if entry.topic.startswith("/mavlink/"):
-            if entry.topic not in frames:
-                frames[entry.topic] = Frames([], [])
-            kept = frames[entry.topic]
-            kept.time_ns.append(entry.log_time)
-            kept.data.append(entry.data)
-        elif entry.schema.startswith(OWN):
-            if entry.topic not in rows:
-                rows[entry.topic], first[entry.topic] = [], entry.log_time
-            rows[entry.topic].append(entry.data)
+    for number, kept in by_channel.items():
+        channel = contents.channels[number]
+        schema = contents.schemas.get(channel.schema_id)
+        if channel.topic.startswith("/mavlink/"):
+            frames[channel.topic] = kept
+        elif schema is not None and schema.name.startswith(OWN):
+            rows[channel.topic], first[channel.topic] = kept.data, kept.time_ns[0]
     events: list[Happening] = []
     found: dict[str, dict[str, np.ndarray]] = {}
     for topic, messages in rows.items():

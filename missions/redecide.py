@@ -4,6 +4,7 @@ The frames that came in are decoded and observed as in flight; only the times of
 are taken from the log. A decision is compared as it would be written.
 """
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -68,7 +69,7 @@ def redecide(path: Path) -> Redecided:
 def _follow(path: Path, flight: Flight, design: Design) -> Redecided:
     observer = Observer(loop_of(flight))
     memory = first_memory(design)
-    before, after = [], []
+    recorded, after = read(path).columns.get("/control/state", {}), []
     for entry in entries(path):
         if entry.topic.startswith("/mavlink/") and entry.topic.endswith("/rx"):
             f = pb.MavlinkFrame.FromString(entry.data)
@@ -87,12 +88,11 @@ def _follow(path: Path, flight: Flight, design: Design) -> Redecided:
             measured = Measurement(was.t, instant.state, held=not flying)
             memory, sample = tick(memory, measured, at(flight.trajectory, was.t), design)
             observer.commanded(boot_ms, sample.R_c, sample.f)
-            before.append(entry.data)
             tension, age_s = instant.tension.tolist(), instant.age_ms * 1e-3
             after.append(encode.control(boot_ms * 1000, sample, tension, flying, age_s))
-    if not before:
+    if not after:
         raise LogError(f"log {path}: no decision in it")
-    return _compared(before, after)
+    return _compared(recorded, after)
 
 
 def _value(f: Any) -> Any:
@@ -102,18 +102,18 @@ def _value(f: Any) -> Any:
         return None
 
 
-def _compared(before: list[bytes], after: list[bytes]) -> Redecided:
-    was, now = (columns(pb.ControlState.DESCRIPTOR, messages) for messages in (before, after))
+def _compared(was: Mapping[str, np.ndarray], after: list[bytes]) -> Redecided:
+    now = columns(pb.ControlState.DESCRIPTOR, after)
     first: Divergence | None = None
     largest = {}
     for name in DECISION:
         if was[name].shape != now[name].shape:
-            gap = np.full(len(before), np.inf)
+            gap = np.full(len(after), np.inf)
         else:
-            gap = np.abs(np.nan_to_num(was[name]) - np.nan_to_num(now[name])).reshape(len(before), -1).max(axis=1)
+            gap = np.abs(np.nan_to_num(was[name]) - np.nan_to_num(now[name])).reshape(len(after), -1).max(axis=1)
         largest[name] = float(gap.max())
         where = np.flatnonzero(gap > 0)
         if len(where) and (first is None or where[0] < first.decided_before):
             k = int(where[0])
             first = Divergence(float(was["t"][k]), name, float(gap[k]), k)
-    return Redecided(len(before), first, largest)
+    return Redecided(len(after), first, largest)
