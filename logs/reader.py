@@ -20,6 +20,7 @@ from logs.columns import columns
 
 _RECORD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
+_WHOLE = struct.Struct("<BQHIQQ")  # both in one
 _READ: dict[int, Any] = {
     Opcode.CHUNK: Chunk, Opcode.MESSAGE: Message, Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel,
     Opcode.METADATA: Metadata, Opcode.ATTACHMENT: Attachment,
@@ -102,9 +103,12 @@ def _guarded(path: Path, read: Callable[[Any], Iterator[Any]]) -> Iterator[Any]:
                 raise
 
 
-def _records(file: Any) -> Iterator[Any]:
-    """The records of an open file that somebody reads here, up to its summary. Raises EOFError where it is cut."""
-    file.seek(8)
+def _records(file: Any, at: int = 8) -> Iterator[Any]:
+    """The records of an open file from byte `at` on that somebody reads here, up to its summary.
+
+    Raises EOFError where it is cut.
+    """
+    file.seek(at)
     while True:
         head = file.read(9)
         if len(head) < 9:
@@ -166,20 +170,19 @@ class _Contents:
             stream, size = get_chunk_data_stream(record, validate_crc=True)
             data, at, append = stream.read(size), 0, {}
             while at < size:
-                opcode, length = _RECORD.unpack_from(data, at)
-                at += 9
-                end = at + length
-                if opcode == Opcode.MESSAGE:
-                    channel, _, log_time, _ = _MESSAGE.unpack_from(data, at)
+                if data[at] == Opcode.MESSAGE:
+                    _, length, channel, _, log_time, _ = _WHOLE.unpack_from(data, at)
                     if channel not in append:
                         kept = self._kept(into, channel)
                         append[channel] = (kept.time_ns.append, kept.data.append)
                     time, body = append[channel]
                     time(log_time)
-                    body(data[at + 22 : end])
-                elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                    self.collect([_parsed(opcode, data[at:end])], into)
-                at = end
+                    body(data[at + 31 : at + 9 + length])
+                else:
+                    opcode, length = _RECORD.unpack_from(data, at)
+                    if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                        self.collect([_parsed(opcode, data[at + 9 : at + 9 + length])], into)
+                at += 9 + length
 
     def _kept(self, into: dict[int, Frames], channel: int) -> Frames:
         if channel not in self.channels:
@@ -266,6 +269,48 @@ def read(path: Path) -> Run:
 
     for _ in _guarded(path, collect):
         pass
+    return _run(path, contents, by_channel, is_complete(path))
+
+
+class Tail:
+    """A log that is being written: what has come since the last look."""
+
+    def __init__(self, path: Path) -> None:
+        """Raises LogError if it cannot be opened."""
+        try:
+            self._file = open(path, "rb")  # noqa: SIM115
+        except OSError as error:
+            raise LogError(f"log {path}: {error.strerror}") from None
+        self._path = path
+        self._contents = _Contents()
+        self._kept: dict[int, Frames] = {}
+        self._at = 8
+        self.ended = False
+
+    def look(self) -> None:
+        """Take in the chunks that are whole by now."""
+        try:
+            for record in _records(self._file, self._at):
+                self._contents.collect([record], self._kept)
+                self._at = self._file.tell()
+            self.ended = True
+        except EOFError:
+            return
+
+    def take(self, events: list[Happening]) -> Run:
+        """The rows since the last `take`, under the events of `events`, to which new ones are added."""
+        run = _run(self._path, self._contents, self._kept, False)
+        self._kept = {}
+        events += run.events
+        return run._replace(events=list(events))
+
+    @property
+    def waiting(self) -> bool:
+        """Whether there is something to take."""
+        return bool(self._kept)
+
+
+def _run(path: Path, contents: _Contents, by_channel: dict[int, Frames], complete: bool) -> Run:
     rows: dict[str, list[bytes]] = {}
     frames: dict[str, Frames] = {}
     first: dict[str, int] = {}
@@ -290,7 +335,7 @@ def read(path: Path) -> Run:
             found[topic] = read_here
     events.sort(key=lambda event: event.time_ns)
     epoch_ns = next((first[topic] - int(c["sim_time_ns"][0]) for topic, c in found.items()), 0)
-    return Run(path, is_complete(path), contents.metadata, contents.attachments, found, events, frames, epoch_ns)
+    return Run(path, complete, contents.metadata, contents.attachments, found, events, frames, epoch_ns)
 
 
 def frame_headers(frames: Frames) -> dict[str, np.ndarray]:

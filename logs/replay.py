@@ -36,14 +36,14 @@ def save(run: Run, path: Path, other: Run | None = None) -> None:
     out.disconnect()
 
 
-def log(out: rr.RecordingStream, run: Run, m: Motion, other: tuple[Run, Motion] | None = None) -> None:
-    """Send everything."""
+def log(out: rr.RecordingStream, run: Run, m: Motion, other: tuple[Run, Motion] | None = None, told: int = 0) -> None:
+    """Send everything, but for the first `told` events."""
     _bodies(out, m)
     _cables(out, m)
     _intentions(out, m)
     _plots(out, run, m, "")
     _wire(out, run)
-    _events(out, run)
+    _events(out, run, told)
     if other is not None:
         _ghost(out, other[1])
         _plots(out, *other, GHOST)
@@ -51,7 +51,10 @@ def log(out: rr.RecordingStream, run: Run, m: Motion, other: tuple[Run, Motion] 
 
 def layout(m: Motion) -> rrb.Blueprint:
     """3D and the phases on the left, plots on the right."""
-    low, high = m.nodes.reshape(-1, 3).min(axis=0), m.nodes.reshape(-1, 3).max(axis=0)
+    seen = np.concatenate(
+        [m.nodes.reshape(-1, 3), m.nodes[0].reshape(-1, 3) + (np.array(m.model["target_m"]) - m.x0[0])]
+    )
+    low, high = seen.min(axis=0), seen.max(axis=0)
     middle = 0.5 * (low + high)
     size = high - low
     across = np.array([1.0, 0.35, -0.5]) if size[1] >= size[0] else np.array([0.35, 1.0, -0.5])
@@ -109,7 +112,7 @@ def _bodies(out: rr.RecordingStream, m: Motion) -> None:
     out.log("world/payload/box", rr.Boxes3D(half_sizes=[half], colors=[(86, 116, 190)], fill_mode="solid"), static=True)
     out.log("world/payload/axes", rr.TransformAxes3D(0.35), static=True)
     out.send_columns("world/payload", when, rr.Transform3D.columns(translation=m.x0, quaternion=_xyzw(m.quat0)))
-    out.log("world/trail", rr.LineStrips3D([m.x0], colors=[(170, 175, 205)], radii=[0.006]), static=True)
+    log_trail(out, m.x0)
     target = np.array(model["target_m"])
     turned = rr.Quaternion(xyzw=_xyzw(np.array(model["target_quat_wxyz"])))
     out.log(
@@ -147,6 +150,11 @@ def _bodies(out: rr.RecordingStream, m: Motion) -> None:
             when,
             rr.Arrows3D.columns(vectors=up * m.thrust[:, i, None] / N_PER_M, origins=m.quads[:, i]),
         )
+
+
+def log_trail(out: rr.RecordingStream, x0: Array) -> None:
+    """Where the load has been, x0 (T, 3) m."""
+    out.log("world/trail", rr.LineStrips3D([x0], colors=[(170, 175, 205)], radii=[0.006]), static=True)
 
 
 def _cables(out: rr.RecordingStream, m: Motion) -> None:
@@ -280,24 +288,26 @@ def _paler(c: tuple[int, int, int]) -> tuple[int, int, int]:
     return r, g, b
 
 
-def _events(out: rr.RecordingStream, run: Run) -> None:
-    marks = [(run.release_ns, "fly")] if any(e.kind == "release" for e in run.events) else []
-    first = min((int(c["sim_time_ns"][0]) for c in run.columns.values() if "sim_time_ns" in c), default=0)
-    marks.insert(0, (first, "prepare"))
-    marks += [(e.time_ns, "hold") for e in run.events if e.kind == "end"]
+def _events(out: rr.RecordingStream, run: Run, told: int) -> None:
+    events = run.events[told:]
+    marks = [(run.release_ns, "fly")] if any(e.kind == "release" for e in events) else []
+    if told == 0:
+        first = min((int(c["sim_time_ns"][0]) for c in run.columns.values() if "sim_time_ns" in c), default=0)
+        marks.insert(0, (first, "prepare"))
+    marks += [(e.time_ns, "hold") for e in events if e.kind == "end"]
     t = np.array([(ns - run.release_ns) * 1e-9 for ns, _ in marks])
     out.send_columns("phases/mission", [_time(t)], rr.StateChange.columns(state=[name for _, name in marks]))
-    for cable in sorted({e.subject for e in run.events if e.kind in ("slack", "taut")}):
-        marks = [(run.release_ns, "taut")] + [
-            (e.time_ns, e.kind) for e in run.events if e.subject == cable and e.kind in ("slack", "taut")
+    for cable in sorted({e.subject for e in events if e.kind in ("slack", "taut")}):
+        marks = [(run.release_ns, "taut")] * (told == 0) + [
+            (e.time_ns, e.kind) for e in events if e.subject == cable and e.kind in ("slack", "taut")
         ]
         t = np.array([(ns - run.release_ns) * 1e-9 for ns, _ in marks])
         lane = f"slack/{cable.replace(' ', '_')}"
         out.send_columns(lane, [_time(t)], rr.StateChange.columns(state=[name for _, name in marks]))
-    if run.events:
-        t = np.array([(e.time_ns - run.release_ns) * 1e-9 for e in run.events])
-        text = [f"{e.subject}: {e.text}" for e in run.events]
-        level = ["WARN" if e.kind in ("sitl-answer-missing", "slack") else "INFO" for e in run.events]
+    if events:
+        t = np.array([(e.time_ns - run.release_ns) * 1e-9 for e in events])
+        text = [f"{e.subject}: {e.text}" for e in events]
+        level = ["WARN" if e.kind in ("sitl-answer-missing", "slack") else "INFO" for e in events]
         out.send_columns("events", [_time(t)], rr.TextLog.columns(text=text, level=level))
 
 

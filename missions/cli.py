@@ -64,6 +64,10 @@ def fly(
     duration: Annotated[float | None, typer.Option(help="Seconds to fly, instead of the scenario's.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed, instead of the scenario's.", min=0)] = None,
     replay: Annotated[bool, typer.Option(help="Write the replay (.rrd) beside the log.")] = True,
+    live: Annotated[
+        bool,
+        typer.Option("--live", help="Show the flight in the Rerun viewer that is open on this machine (start: rerun)."),
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")] = False,
     port_offset: PortOffset = 0,
     firmware: FirmwareOption = None,
@@ -84,6 +88,11 @@ def fly(
     from missions.scenario import ScenarioError
 
     pace = _speed(speed)
+    if live:
+        from logs.live import VIEWER, reachable
+
+        if not reachable():
+            usage("--live: no viewer listens on {}:{}; start one with: rerun".format(*VIEWER))
     if connect and speed != "max":
         usage("--speed sets the pace of our own simulator; with --connect the vehicles set it")
     if duration is not None and not (math.isfinite(duration) and duration > 0):
@@ -92,7 +101,7 @@ def fly(
         flight = _load(scenario, duration, seed, firmware, script)
         key = None if signing_key is None else read_key(signing_key)
         ends = tuple(Endpoint.parse(url) for url in connect or ())
-        options = Options(ends, out, pace, port_offset, configure or not ends, key, accept_unsigned)
+        options = Options(ends, out, pace, port_offset, configure or not ends, key, accept_unsigned, live)
         with _progress(quiet=as_json) as progress:
             summary, interrupted = run(flight, options, progress)
     except (ScenarioError, LinkError, KeyFileError) as error:

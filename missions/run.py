@@ -41,6 +41,7 @@ from logs.recorder import Attachment, RecorderError
 from missions import scenario as scenarios
 from missions.scenario import Flight
 from missions.scribe import Opening, Scribe
+from missions.show import Show
 from missions.simulate import Serving, Simulator, few_collections, pin, settings
 from missions.summary import Summary, Track, summarize
 from sitl.server import HOST
@@ -62,6 +63,7 @@ class Options:
     configure: bool = True  # set the parameters that a vehicle needs to be flown
     signing_key: bytes | None = None
     accept_unsigned_telemetry: bool = False
+    live: bool = False  # shown in the viewer that is open
 
 
 class Progress:
@@ -117,8 +119,12 @@ def _run(flight: Flight, design: Design, options: Options, progress: Progress) -
     scribe: Scribe | None = None
     processors = os.sched_getaffinity(0) if sys.platform == "linux" else set()
     before, thresholds = sys.getswitchinterval(), gc.get_threshold()
+    show: Show | None = None
     try:
-        scribe = Scribe(_opening(flight, design, options))
+        opening = _opening(flight, design, options)
+        scribe = Scribe(opening)
+        if options.live:
+            show = Show(opening.path)
         progress.say("getting ready (the first start on a machine compiles the model: a minute or two)")
         _warm_up(design, flight)  # before the vehicles' clock runs: it does not wait for a compiler
         predict_once(flight)
@@ -172,6 +178,8 @@ def _run(flight: Flight, design: Design, options: Options, progress: Progress) -
             simulator.stop()
         if scribe is not None:
             scribe.close()
+        if show is not None:
+            show.close()
         link.close()
 
 
