@@ -161,7 +161,9 @@ def _calm_share(before: float, q: Array, q_d: Array, n_links: Counts, calm: Calm
 def _calm_forces(memory: Memory, seen: State, form: Formation, design: Design, yaw: float) -> Array:
     """(n, 3) N: m a_d + F - F_d - m (c (v - v_d) + k (x - x_d)) with F the cable's pull, yielding to what F exceeds.
 
-    All of it is taken of the state that the model predicts for when a force commanded now has come about.
+    All of it is taken of the state that the model predicts for when a force commanded now has come about. Beyond what
+    is under way the vehicles are taken to carry the formation: a pull that rose with the thrust commanded last would
+    have the thrust answer itself, tick by tick.
     """
     system, calm = design.system, design.calm
     n, L = system.length.shape
@@ -175,11 +177,13 @@ def _calm_forces(memory: Memory, seen: State, form: Formation, design: Design, y
         ahead = steps if k > 0 else calm.lead_steps
         newest = max(k - 1, 0)
         R_c = memory.R_c[newest] if yaw == 0.0 else turned_frames(memory.R_c[newest], -yaw)
-        setpoint = Setpoint(R_c, np.zeros((n, 3)), memory.f[newest], np.zeros(n, dtype=np.bool_))
+        f = memory.f[newest] if k > 0 else _carrying(at, form)
+        setpoint = Setpoint(R_c, np.zeros((n, 3)), f, np.zeros(n, dtype=np.bool_))
         fly(system, design.airframe, setpoint, at, calm.step_s, ahead, work)
     force = np.empty((n, 3))
+    f = _carrying(at, form)
     for i in range(n):
-        force[i] = -memory.f[0, i] * at.R[i, :, 2]
+        force[i] = -f[i] * at.R[i, :, 2]
     acc = Accelerations(np.empty(3), np.empty(3), np.zeros((n, L, 3)), np.zeros((n, L)))
     evaluate(system, at, force, acc, workspace(system))
     x, v = positions(system, at), velocities(system, at)
@@ -194,6 +198,16 @@ def _calm_forces(memory: Memory, seen: State, form: Formation, design: Design, y
             answer = (1.0 + calm.yielding) * ((pull - pull_d) / m - push)
             A[i, b] = m * (form.a[i, b] + answer - gravity) - pull
     return A
+
+
+@jit
+def _carrying(s: State, form: Formation) -> Array:
+    """(n,) N: thrusts that give the formation's vertical forces at the attitudes of `s`."""
+    n = s.R.shape[0]
+    f = np.empty(n)
+    for i in range(n):
+        f[i] = -form.u[i, 2] / max(s.R[i, 2, 2], UPRIGHT)
+    return f
 
 
 @jit

@@ -74,6 +74,7 @@ def tensions(run: Run) -> Figure:
     _vehicles(grid[1, 0], m.t[flown], 100 * m.thrust[flown] / limit, "thrust, share of the limit [%]")
     grid[1, 1].plot(t, 1e3 * c["state_age"], color="0.15", linewidth=0.9)
     grid[1, 1].set_ylabel("age of the state used [ms]")
+    grid[1, 1].set_ylim(0.0, max(1.0, 1.1e3 * float(c["state_age"].max())))
     for ax in grid[1]:
         ax.set_xlabel("time since the release [s]")
     for ax in grid.ravel():
@@ -214,7 +215,7 @@ def draw_space(ax: Any, m: Motion, row: int, low: Array, high: Array) -> None:
         ax.plot(points[:, 0], points[:, 1], points[:, 2], color=shade, linewidth=width)
     ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     ax.set_zlim(high[2], low[2])
-    ax.set_box_aspect(high - low, zoom=1.3)
+    ax.set_box_aspect(high - low, zoom=1.12)
     ax.view_init(elev=22, azim=-62)
     ax.set_axis_off()
 
