@@ -144,8 +144,8 @@ def main() -> None:
     )
     asked = {250: ("5 %", "40", "0.5"), 1000: ("12 %", "", "2")}
     for heading in (
-        "truth", "share of a core", "asked", "MB a minute", "asked", "loop waits, p50", "p99.9", "read + convert a minute",
-        "asked", "replay, MB a minute",
+        "truth", "share of a core", "asked", "MB a minute", "asked", "loop waits, p50", "p99.9",
+        "read + convert a minute", "asked", "replay, MB a minute",
     ):  # fmt: skip
         table.add_column(heading, justify="right")
     rows = []
