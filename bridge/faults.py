@@ -12,6 +12,7 @@ import numpy as np
 
 Item = TypeVar("Item")
 
+FOREVER_S = 1e9  # a frame on a line of next to no bytes a second
 REORDERED_US = 20_000  # how long a frame that is overtaken waits
 QUEUE_US = 500_000  # what a narrow line keeps; more is lost
 
@@ -74,7 +75,7 @@ class Channel(Generic[Item]):
             if begins - now_us > QUEUE_US:
                 self.tally.lost += 1
                 return
-            self._line_free_us = begins + round(size / f.rate_bytes_s * 1e6)
+            self._line_free_us = begins + round(min(size / f.rate_bytes_s, FOREVER_S) * 1e6)
             due += self._line_free_us - now_us
         self._push(due, item)
         if draw[4] < f.duplicate:

@@ -7,7 +7,7 @@ import numpy as np
 from cablequad import lie
 from cablequad._jit import jit
 from cablequad.system import System
-from cablequad.types import Array
+from cablequad.types import Array, Counts
 
 
 class State(NamedTuple):
@@ -159,3 +159,31 @@ def link_poses(system: System, state: State) -> tuple[Array, Array]:
                 middle[i, j, a] = 0.5 * (nodes[i, j, a] + nodes[i, j + 1, a])
             quat[i, j] = lie.quat_from_rotation(lie.exp(lie.direction_to(e3, state.q[i, j])))
     return middle, quat
+
+
+class Difference(NamedTuple):
+    """How far one state is from another, part by part."""
+
+    position: Array  # (3,) m
+    velocity: Array  # (3,) m/s
+    attitude: Array  # (3,) rad, rotation vector in the other load's frame
+    rate: Array  # (3,) rad/s
+    link_direction: Array  # (n, L) rad, angle
+    link_rate: Array  # (n,) rad/s, root mean square over the links of a cable
+
+
+@jit
+def difference(known: State, true: State, n_links: Counts) -> Difference:
+    """`known` less `true`."""
+    n, L = known.q.shape[0], known.q.shape[1]
+    angle, rate = np.zeros((n, L)), np.zeros(n)
+    for i in range(n):
+        for j in range(n_links[i]):
+            cosine = 0.0
+            for b in range(3):
+                cosine += known.q[i, j, b] * true.q[i, j, b]
+                rate[i] += (known.omega[i, j, b] - true.omega[i, j, b]) ** 2
+            angle[i, j] = np.arccos(min(max(cosine, -1.0), 1.0))
+        rate[i] = np.sqrt(rate[i] / n_links[i])
+    turned = lie.log(np.ascontiguousarray(true.R0.T) @ known.R0)
+    return Difference(known.x0 - true.x0, known.v0 - true.v0, turned, known.Omega0 - true.Omega0, angle, rate)

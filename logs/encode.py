@@ -11,9 +11,9 @@ from google.protobuf.timestamp_pb2 import Timestamp
 
 from cablequad import lie
 from cablequad.pilot import Sample
-from cablequad.state import State, link_poses, positions
+from cablequad.state import Difference, State, link_poses, positions
 from cablequad.system import System
-from cablequad.types import Array, Counts
+from cablequad.types import Array
 from logs.schema import cablequad_pb2 as pb
 from logs.serialize import serialized
 
@@ -41,27 +41,6 @@ class Motion(NamedTuple):
     v: Array  # (n, 3) m/s
     tension: Array  # (n, L) N
     thrust: Array  # (n,) N
-
-
-class EstimateError(NamedTuple):
-    """The state that a controller went by, less the true one."""
-
-    position: Array  # (3,) m
-    velocity: Array  # (3,) m/s
-    attitude: Array  # (3,) rad, rotation vector in the load's frame
-    rate: Array  # (3,) rad/s
-    link_direction: Array  # (n, L) rad, angle
-    link_rate: Array  # (n,) rad/s, root mean square over the links of a cable
-
-
-def estimate_error(known: State, true: State, n_links: Counts) -> EstimateError:
-    """How far `known` is off."""
-    cosine = np.minimum(np.maximum(np.einsum("ijk,ijk->ij", known.q, true.q), -1.0), 1.0)
-    turned = known.omega - true.omega
-    return EstimateError(
-        known.x0 - true.x0, known.v0 - true.v0, lie.log(true.R0.T @ known.R0), known.Omega0 - true.Omega0,
-        np.arccos(cosine), np.sqrt(np.einsum("ijk,ijk->i", turned, turned) / n_links),
-    )  # fmt: skip
 
 
 def color(i: int) -> tuple[int, int, int]:
@@ -105,7 +84,7 @@ def control(boot_us: int, sample: Sample, tension: Sequence[float], flying: bool
     ))  # fmt: skip
 
 
-def estimate(boot_us: int, off: EstimateError) -> bytes:
+def estimate(boot_us: int, off: Difference) -> bytes:
     """/control/estimate."""
     return serialized(pb.EstimateError, (("sim_time_ns", boot_us * 1000), *zip(off._fields, off, strict=True)))
 

@@ -19,9 +19,10 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from cablequad.pilot import Sample
+from cablequad.state import Difference
 from cablequad.types import Array
 from logs import encode
-from logs.encode import EstimateError, Model, Motion
+from logs.encode import Model, Motion
 from logs.schema import cablequad_pb2 as pb
 from logs.serialize import LogWriter, mavlink_frame
 
@@ -140,7 +141,7 @@ class Recorder:
         tension: list[float],
         flying: bool,
         age_s: float = 0.0,
-        off: EstimateError | None = None,
+        off: Difference | None = None,
     ) -> None:
         """A control decision; `age_s` is that of the oldest measurement that its state rests on.
 

@@ -6,14 +6,14 @@ The layout comes from the generated module, and the tests hold every byte agains
 import struct
 from collections.abc import Callable, Sequence
 from functools import cache
-from typing import IO, Any
+from typing import IO, Any, NamedTuple
 
 import numpy as np
 from google.protobuf.descriptor import FieldDescriptor
 from mcap._chunk_builder import ChunkBuilder
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import Message, MessageIndex
+from mcap.records import Message, MessageIndex, Statistics
 from mcap.writer import CompressionType, Writer
 
 _KEPT = np.int64(-1 << 16)  # of a double's bits in arrays: to 1.5e-11 of it, which takes a fifth less room
@@ -41,15 +41,6 @@ def _head(tag: int, size: int) -> bytes:
     return varint(tag) + varint(size)
 
 
-def _array(tag: int, kind: type[np.floating]) -> Callable[[Any], bytes]:
-    def write(value: Any) -> bytes:
-        a = np.asarray(value, kind)
-        data = a.tobytes() if kind is np.float32 else (np.ascontiguousarray(a).view(np.int64) & _KEPT).tobytes()
-        return _head(tag, len(data)) + data if data else b""
-
-    return write
-
-
 def _text(tag: int) -> Callable[[Any], bytes]:
     def write(value: Any) -> bytes:
         data = value if isinstance(value, bytes) else value.encode()
@@ -73,18 +64,23 @@ def _real(tag: int) -> Callable[[Any], bytes]:
     return write
 
 
+class _Field(NamedTuple):
+    """How a field is written."""
+
+    tag: int
+    array: type[np.floating] | None  # the kind of number of a repeated field
+    write: Callable[[Any], bytes]  # of one that is not
+
+
 @cache
-def _writers(kind: Any) -> dict[str, Callable[[Any], bytes]]:
+def _fields(kind: Any) -> dict[str, _Field]:
     out = {}
     for f in kind.DESCRIPTOR.fields:
-        if f.is_repeated:
-            out[f.name] = _array(f.number << 3 | 2, _KINDS[f.type])
-        elif f.type in (f.TYPE_STRING, f.TYPE_BYTES):
-            out[f.name] = _text(f.number << 3 | 2)
-        elif f.type == f.TYPE_DOUBLE:
-            out[f.name] = _real(f.number << 3 | 1)
-        else:
-            out[f.name] = _number(f.number << 3)
+        text = f.type in (f.TYPE_STRING, f.TYPE_BYTES)
+        wire = 2 if f.is_repeated or text else 1 if f.type == f.TYPE_DOUBLE else 0
+        tag = f.number << 3 | wire
+        write = _text(tag) if text else _real(tag) if wire == 1 else _number(tag)
+        out[f.name] = _Field(tag, _KINDS[f.type] if f.is_repeated else None, write)
     return out
 
 
@@ -93,8 +89,25 @@ def serialized(kind: Any, values: Sequence[tuple[str, Any]]) -> bytes:
 
     Arrays of any shape go into repeated fields, row by row. Raises KeyError for a field that there is not.
     """
-    writers = _writers(kind)
-    return b"".join([writers[name](value) for name, value in values])
+    fields = _fields(kind)
+    arrays = [np.asarray(value, float).ravel() for name, value in values if fields[name].array is not None]
+    flat = np.concatenate(arrays) if arrays else np.empty(0)
+    doubles = (flat.view(np.int64) & _KEPT).tobytes()  # all at once: a call for each field would cost more than it does
+    floats = flat.astype(np.float32).tobytes()
+    parts = []
+    at, sizes = 0, iter(arrays)
+    for name, value in values:
+        field = fields[name]
+        if field.array is None:
+            parts.append(field.write(value))
+            continue
+        end = at + len(next(sizes))
+        if end > at:
+            data = floats[4 * at : 4 * end] if field.array is np.float32 else doubles[8 * at : 8 * end]
+            parts.append(_head(field.tag, len(data)))
+            parts.append(data)
+        at = end
+    return b"".join(parts)
 
 
 @cache
@@ -129,25 +142,45 @@ class Chunks(ChunkBuilder):
 
     def add_message(self, message: Message) -> None:
         """Put a message behind those that are there."""
-        time, channel, stream = message.log_time, message.channel_id, self.record_writer._buffer
-        if self.num_messages == 0 or time < self.message_start_time:
-            self.message_start_time = time
-        if time > self.message_end_time:
-            self.message_end_time = time
+        self.add(message.channel_id, message.log_time, message.data, message.publish_time, message.sequence)
+
+    def add(self, channel: int, log_time: int, data: bytes, publish_time: int, sequence: int) -> None:
+        """The same without an object for the message."""
+        stream = self.record_writer._buffer
+        if self.num_messages == 0 or log_time < self.message_start_time:
+            self.message_start_time = log_time
+        if log_time > self.message_end_time:
+            self.message_end_time = log_time
         index = self.message_indices.get(channel)
         if index is None:
             index = self.message_indices[channel] = _Index(channel_id=channel, records=[])
-        index.records.append((time, stream.tell()))
+        index.records.append((log_time, stream.tell()))
         self.num_messages += 1
-        data = message.data
-        head = _RECORD(Opcode.MESSAGE, 22 + len(data), channel, message.sequence, time, message.publish_time)
-        stream.write(head)
+        stream.write(_RECORD(Opcode.MESSAGE, 22 + len(data), channel, sequence, log_time, publish_time))
         stream.write(data)
 
 
 class LogWriter(Writer):
-    """The library's writer with `Chunks` inside."""
+    """The library's writer with `Chunks` inside, where the library keeps its own."""
+
+    _Writer__chunk_builder: Chunks
+    _Writer__statistics: Statistics
 
     def __init__(self, output: IO[bytes], chunk_size: int) -> None:
         super().__init__(output, chunk_size=chunk_size, compression=CompressionType.ZSTD)
-        self._Writer__chunk_builder = Chunks()  # where the library keeps its own; elsewhere it would just be slower
+        self._Writer__chunk_builder = Chunks()
+        self._most = chunk_size
+
+    def add_message(self, channel_id: int, log_time: int, data: bytes, publish_time: int, sequence: int = 0) -> None:
+        """As the library's, which makes an object of every message; what closes a chunk stays the library's."""
+        s, chunks = self._Writer__statistics, self._Writer__chunk_builder
+        if chunks.record_writer._buffer.tell() + len(data) + 31 >= self._most:
+            super().add_message(channel_id, log_time, data, publish_time, sequence)
+            return
+        if s.message_count == 0 or log_time < s.message_start_time:
+            s.message_start_time = log_time
+        if log_time > s.message_end_time:
+            s.message_end_time = log_time
+        s.channel_message_counts[channel_id] += 1
+        s.message_count += 1
+        chunks.add(channel_id, log_time, data, publish_time, sequence)

@@ -24,9 +24,9 @@ import numpy as np
 from bridge.link import Received, Sent
 from bridge.wire.dialect import mavlink
 from cablequad.pilot import Sample
-from cablequad.state import State, positions
+from cablequad.state import State, difference, positions
 from logs import encode
-from logs.encode import Model, Motion, estimate_error
+from logs.encode import Model, Motion
 from logs.recorder import FLUSH_S, Attachment, Frame, Recorder, RecorderError
 from missions.channel import Shapes, put_sample, sample_shapes, take, take_sample
 from missions.tracking import Followed, Following
@@ -234,7 +234,7 @@ class _Ledger:
 
     def _decided(self, boot_us: int, sample: Sample, tension: list[float], flying: bool, age_s: float) -> None:
         true = self._newest.state if self._newest is not None and self._newest.boot_us == boot_us else None
-        off = None if true is None else estimate_error(sample.state, true, self._n_links)
+        off = None if true is None else difference(sample.state, true, self._n_links)
         if flying and not self._ended and true is not None:
             self._following.take(sample, true, off, self._used)
         self._recorder.decided(boot_us, sample, tension, flying, age_s, off)
@@ -313,7 +313,7 @@ def _encode_once(model: Model) -> None:
     encode.plant(0, True, motion)
     encode.transforms(model, motion, 0, True)
     positions(model.system, hanging)
-    encode.estimate_error(hanging, hanging, model.system.n_links)
+    difference(hanging, hanging, model.system.n_links)
 
 
 def _child(opening: Opening, down: Connection, up: Connection, truth: Connection) -> None:

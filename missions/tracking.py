@@ -7,8 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cablequad.pilot import Sample
-from cablequad.state import State
-from logs.encode import EstimateError
+from cablequad.state import Difference, State
 
 SETTLED_M = 0.05
 LAST_S = 10.0  # of the mean
@@ -41,7 +40,7 @@ class Following:
         self._links = self._attitude = 0.0
         self._judged = 0
 
-    def take(self, sample: Sample, true: State | None, off: EstimateError | None, used: np.ndarray) -> None:
+    def take(self, sample: Sample, true: State | None, off: Difference | None, used: np.ndarray) -> None:
         """`used` (n, L) says which links there are. Without truth the state that was measured stands for it."""
         s = sample.state if true is None else true
         error = math.dist(s.x0.tolist(), sample.reference.x0.tolist())

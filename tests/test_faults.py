@@ -40,6 +40,12 @@ def test_every_frame_is_accounted_for(
     assert len(out) == t.passed
 
 
+def test_a_line_of_next_to_no_bytes_a_second_carries_nothing() -> None:
+    channel, out = sent_through(Faults(rate_bytes_s=2e-313), 300, 0)
+    assert out == []
+    assert channel.tally.waiting + channel.tally.lost == 300
+
+
 def test_without_faults_everything_passes_at_once_in_its_order() -> None:
     _, out = sent_through(Faults())
     assert out == [(k, k) for k in range(5000)]

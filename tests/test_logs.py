@@ -18,11 +18,11 @@ from mcap.writer import CompressionType, Writer
 from cablequad.attitude import Airframe
 from cablequad.design import Weights, sampled_law
 from cablequad.pilot import Measurement, first_memory, tick
-from cablequad.state import State, positions
+from cablequad.state import State, difference, positions
 from cablequad.system import System
 from cablequad.trajectory import Reference
 from logs import recorder as recorders
-from logs.encode import Model, Motion, estimate_error
+from logs.encode import Model, Motion
 from logs.motion import motion_of
 from logs.reader import LogError, entries, is_complete, read
 from logs.recorder import Attachment, Frame, Recorder, RecorderError
@@ -62,7 +62,7 @@ def write(path: Path, ticks: int, epoch_ns: int = recorders.EPOCH_NS) -> Recorde
             [1.0] * 4,
             True,
             0.004,
-            estimate_error(sample.state, motion(0.001 * k + 1e-4).state, SYSTEM.n_links),
+            difference(sample.state, motion(0.001 * k + 1e-4).state, SYSTEM.n_links),
         )
         out.frames(us, "tx", [Frame(1, bytes([k & 255] * 40), 82, 250, 191, k & 255, "SET_ATTITUDE_TARGET")])
         if k % 250 == 0:
