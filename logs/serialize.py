@@ -1,4 +1,4 @@
-"""Protobuf and MCAP bytes for what is written every tick, at a third of the cost of building message objects.
+"""Protobuf and MCAP bytes for what is written every tick: half of what the recording cost was objects made for them.
 
 The layout comes from the generated module, and the tests hold every byte against the protobuf and mcap libraries' own.
 """
