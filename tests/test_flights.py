@@ -9,7 +9,7 @@ from conftest import flown, next_offset
 from logs.reader import Run, read
 from missions import scenario
 
-OVER_WATER = {"paper-case-1"}  # flown by test_fly.py
+FLOWN_ELSEWHERE = {"paper-case-1"}  # by test_fly.py
 
 
 def windows(run: Run, target: list[float]) -> tuple[np.ndarray, np.ndarray]:
@@ -38,7 +38,7 @@ def fly_once(flights: dict, name: str, folder: Path) -> tuple[dict, Run]:
     return flights[name]
 
 
-@pytest.mark.parametrize("name", sorted(set(scenario.names()) - OVER_WATER))
+@pytest.mark.parametrize("name", sorted(set(scenario.names()) - FLOWN_ELSEWHERE))
 def test_a_scenario_that_ships_passes_its_own_criteria(flights: dict, name: str, tmp_path: Path) -> None:
     summary, _ = fly_once(flights, name, tmp_path)
     assert summary["passed"], summary["reason"]
@@ -99,3 +99,24 @@ def test_lemniscates_are_followed_with_every_kind_of_sensing(flights: dict, tmp_
         summary, _ = fly_once(flights, f"lemniscate-{sensing}", tmp_path)
         assert summary["rms_tracking_error_m"] < rms_m  # measured 0.055
         assert summary["link_direction_error_deg"] < link_deg
+
+
+def test_truth_is_told_as_often_as_asked_and_the_flight_is_the_same(tmp_path: Path) -> None:
+    source = scenario.text("paper-case-1")
+    found = []
+    for name, more in (("each-tick", ""), ("each-step", "\n[record]\ntruth_rate_hz = 1000\n")):
+        path = tmp_path / f"{name}.toml"
+        path.write_text(source + more)
+        summary = flown(
+            str(path), "--duration", "0.3", "--no-replay", "--out", str(tmp_path / name), "--port-offset", str(next_offset())
+        )  # fmt: skip
+        found.append(read(Path(summary["log"])).columns["/plant/state"])
+    ticks, steps = found
+    assert set(np.diff(ticks["sim_time_ns"]).tolist()) == {4_000_000}
+    assert set(np.diff(steps["sim_time_ns"]).tolist()) == {1_000_000}
+    shared = np.isin(steps["sim_time_ns"], ticks["sim_time_ns"])
+    np.testing.assert_array_equal(steps["link_direction"][shared], ticks["link_direction"][: shared.sum()])
+    bad = tmp_path / "bad.toml"
+    bad.write_text(source + "\n[record]\ntruth_rate_hz = 333\n")
+    with pytest.raises(scenario.ScenarioError, match=r"record\.truth_rate_hz: 333 given"):
+        scenario.load(str(bad))
