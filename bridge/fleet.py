@@ -14,8 +14,10 @@ from bridge.wire.dialect import mavlink
 from bridge.wire.messages import TEXT_BYTES, attitude_target
 from bridge.wire.values import (
     IN_AIR,
+    Battery,
     Command,
     CommandAck,
+    GpsFix,
     Heartbeat,
     LandedState,
     ParamRequestRead,
@@ -39,6 +41,9 @@ SILENT_S = 3.0
 POSITION_GAP_M = 0.5  # a vehicle further than this from where its cable puts it is not flown
 
 REBOOT_MS = 1000  # a vehicle's clock that goes back by more has begun anew
+LOST_TWICE = 2
+FORCE = 21196.0  # of a disarming in flight
+FIX_3D = 3
 THRUST_NOT_CLIMB = 8  # in ArduCopter's GUID_OPTIONS
 
 
@@ -84,6 +89,7 @@ STREAMS_US = {
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 200_000,
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: 1_000_000,
     mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: 2_000_000,
+    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 200_000,
     mavlink.MAVLINK_MSG_ID_ATTITUDE: STOP,  # ATTITUDE_QUATERNION says the same
     mavlink.MAVLINK_MSG_ID_ODOMETRY: STOP,
     mavlink.MAVLINK_MSG_ID_ALTITUDE: STOP,
@@ -106,7 +112,8 @@ class Stage(IntEnum):
     ARM = 5
     FLY = 6
     HOLD = 7
-    DONE = 8
+    DISARM = 8
+    DONE = 9
 
 
 TOGETHER = frozenset({Stage.CONTROL, Stage.ARM})  # entered only when every vehicle has finished the stage before
@@ -129,6 +136,7 @@ class _Vehicle:
         self.heartbeat: Heartbeat | None = None
         self.heard_at = 0.0
         self.landed = 1
+        self.battery = 1.0
         self.streams_left = sorted(STREAMS_US, key=lambda msgid: (msgid not in NEEDED_STREAMS, msgid))
         self.refusal = ""
         self.text = ""  # of a STATUSTEXT that comes in chunks
@@ -153,6 +161,7 @@ class _Vehicle:
             Stage.CONTROL: f"mode {profile.control[0]}",
             Stage.ARM: "arming",
             Stage.HOLD: f"mode {profile.hold[0]}",
+            Stage.DISARM: "disarming",
         }.get(self.stage, "")
 
     def gives_up_s(self) -> float:
@@ -164,9 +173,16 @@ class Fleet:
     """The protocol side of n vehicles: `feed` what they say, send what is `due`."""
 
     def __init__(
-        self, max_thrust_N: list[float], period_s: float, configure: bool = False, sensing: Sensing = "full"
+        self,
+        max_thrust_N: list[float],
+        period_s: float,
+        configure: bool = False,
+        sensing: Sensing = "full",
+        grounded: bool = False,
     ) -> None:
-        """`configure`: parameters that a vehicle needs to be flown are set, not only asked for.
+        """`grounded`: a mission from the ground, which says when to arm, and begins when all are.
+
+        `configure`: parameters that a vehicle needs to be flown are set, not only asked for.
 
         With `sensing` "vehicles" no payload tracker is needed; without cables measured, positions are in the loop.
         """
@@ -180,7 +196,12 @@ class Fleet:
         self._answers: list[Request] = []
         period_us = round(period_s * 1e6)
         self._intervals_us = {msgid: asked or period_us for msgid, asked in STREAMS_US.items()}
-        if sensing != "full":
+        self._grounded = grounded
+        self.may_arm = not grounded
+        self.departed: dict[int, str] = {}  # vehicles (from 0) that no longer do what they are told, and why
+        self.astray: set[int] = set()  # vehicles (from 0) that do not know where they are
+        self._lost: set[int] = set()
+        if sensing != "full" or grounded:
             self._intervals_us[mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED] = period_us
         self._needs_tracker = sensing != "vehicles"
         self._setpoints_since: float | None = None
@@ -196,7 +217,47 @@ class Fleet:
     @property
     def flying(self) -> bool:
         """Whether every vehicle carries itself under our command."""
-        return self.released_at is not None and all(v.stage is Stage.FLY for v in self._vehicles)
+        return self.released_at is not None and all(v.stage is Stage.FLY for v in self._own)
+
+    @property
+    def _own(self) -> list[_Vehicle]:
+        """Those that are not lost."""
+        return [v for v in self._vehicles if v.system - 1 not in self._lost]
+
+    @property
+    def all_landed(self) -> bool:
+        """Whether every vehicle that is not lost says that it stands on the ground."""
+        return all(v.landed != IN_AIR for v in self._own)
+
+    @property
+    def batteries(self) -> list[float]:
+        """What each vehicle says is left of its battery, 0 .. 1; 1 where it says nothing."""
+        return [v.battery for v in self._vehicles]
+
+    def not_ready(self) -> list[str]:
+        """What keeps vehicles from being armed, one line each."""
+        waiting = [
+            v for v in self._vehicles if v.stage < Stage.CONTROL or (v.stage is Stage.CONTROL and not self._done(v, 0))
+        ]
+        return [f"vehicle {v.system} waits for {v.waits_for() or 'its first heartbeat'}{_because(v)}" for v in waiting]
+
+    def disarm(self, now: float) -> None:
+        """Stop the motors of everyone, on the ground."""
+        for v in self._own:
+            if v.stage < Stage.ARM:
+                v.stage = Stage.DONE
+            elif v.stage in (Stage.ARM, Stage.FLY):
+                self._enter(v, Stage.DISARM, now)
+
+    def lose(self, i: int, hooks: bool) -> None:
+        """Vehicle i (from 0) is given up: its motors are stopped and, where there are hooks, its cable is let go."""
+        self._lost.add(i)
+        v = self._vehicles[i]
+        v.stage = Stage.DONE
+        for _ in range(LOST_TWICE):  # a frame may be lost
+            if hooks:
+                self._answers.append(Request(v.system, _command(v, mavlink.MAV_CMD_DO_GRIPPER, 1, 0)))
+            self._answers.append(Request(v.system, _command(v, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0, FORCE)))
 
     @property
     def at_rest(self) -> bool:
@@ -229,8 +290,12 @@ class Fleet:
                 self._answers.append(Request(source, Timesync(round(now * 1e9), value.ts1)))
             case LandedState():
                 v.landed = value.landed
-                if self.released_at is None and all(u.landed == IN_AIR for u in self._vehicles):
+                if not self._grounded and self.released_at is None and self._all_in_air():
                     self.released_at = now
+            case Battery():
+                v.battery = value.remaining if value.remaining >= 0.0 else v.battery
+            case GpsFix():
+                (self.astray.discard if value.fix >= FIX_3D else self.astray.add)(source - 1)
             case StatusText():
                 v.text = v.text + value.text if value.chunk > 0 else value.text
                 if value.id == 0 or len(value.text) < TEXT_BYTES:
@@ -239,6 +304,9 @@ class Fleet:
                         v.refusal = v.text
             case _:
                 pass
+
+    def _all_in_air(self) -> bool:
+        return all(u.landed == IN_AIR for u in self._vehicles)
 
     def texts(self) -> list[tuple[int, StatusText]]:
         """STATUSTEXTs since the last call, with their vehicle."""
@@ -293,6 +361,13 @@ class Fleet:
         if self.failure is None:
             self.failure = text
 
+    def _depart(self, v: _Vehicle, text: str) -> None:
+        """A mission may go on without a vehicle that does something else; any other flight ends."""
+        if self._grounded:
+            self.departed.setdefault(v.system - 1, text)
+        else:
+            self._fail(f"vehicle {v.system} {text}")
+
     def _enter(self, v: _Vehicle, stage: Stage, now: float) -> None:
         v.stage, v.since, v.next_try, v.refusal = stage, now, now, ""
 
@@ -306,12 +381,14 @@ class Fleet:
                 return
         if v.stage is Stage.HEARTBEAT:
             self._enter(v, Stage.STREAMS, now)
+        elif v.system - 1 in self._lost:
+            pass
         elif v.stage is Stage.FLY and not beat.armed and self.released_at is None and v.landed != IN_AIR:
             self._enter(v, Stage.ARM, now)  # idle for too long while others got ready
         elif v.stage is Stage.FLY and not beat.armed:
-            self._fail(f"vehicle {v.system} disarmed in flight{_because(v)}")
+            self._depart(v, f"disarmed in flight{_because(v)}")
         elif v.stage is Stage.FLY and beat.custom_mode != v.profile.control[1]:
-            self._fail(f"vehicle {v.system} left {v.profile.control[0]}{_because(v)}")
+            self._depart(v, f"left {v.profile.control[0]}{_because(v)}")
 
     def _parameter(self, v: _Vehicle, value: ParamValue) -> None:
         number = value.value
@@ -364,6 +441,8 @@ class Fleet:
                 return beat is not None and v.profile is not None and beat.custom_mode == v.profile.control[1]
             case Stage.ARM:
                 return v.landed == IN_AIR or (beat is not None and beat.armed)  # who flies is armed
+            case Stage.DISARM:
+                return beat is not None and not beat.armed
             case Stage.HOLD:
                 holding = v.profile is not None and beat is not None and beat.custom_mode == v.profile.hold[1]
                 return holding or (beat is not None and not beat.armed)
@@ -373,22 +452,27 @@ class Fleet:
     def _advance(self, v: _Vehicle, now: float) -> None:
         if not self._done(v, now):
             return
-        following = Stage(v.stage + 1)
+        following = Stage.DONE if v.stage in (Stage.HOLD, Stage.DISARM) else Stage(v.stage + 1)
+        if following is Stage.ARM and not self.may_arm:
+            v.since = now
+            return
         others_done = all(u.stage > v.stage or (u.stage is v.stage and self._done(u, now)) for u in self._vehicles)
         if following in TOGETHER and not others_done:
             v.since = now  # its own part is done; it waits for the others
             return
         self._enter(v, following, now)
+        if self._grounded and self.released_at is None and all(u.stage is Stage.FLY for u in self._vehicles):
+            self.released_at = now
 
     def _watch(self, v: _Vehicle, now: float) -> None:
         wait = v.waits_for()
         if wait and now - v.since > v.gives_up_s():
             self._fail(f"vehicle {v.system}: waited {v.gives_up_s():.0f} s for {wait}{_because(v)}")
-            if v.stage is Stage.HOLD:
+            if v.stage in (Stage.HOLD, Stage.DISARM):
                 v.stage = Stage.DONE
         if v.stage > Stage.HEARTBEAT and v.stage is not Stage.DONE and now - v.heard_at > SILENT_S:
-            self._fail(f"vehicle {v.system} is silent since t = {v.heard_at:.2f} s of its clock")
-            if v.stage is Stage.HOLD:
+            self._depart(v, f"is silent since t = {v.heard_at:.2f} s of its clock")
+            if v.stage in (Stage.HOLD, Stage.DISARM):
                 v.stage = Stage.DONE
 
 
@@ -420,5 +504,6 @@ _ASK: dict[Stage, Callable[[_Vehicle, dict[int, int]], list[Any]]] = {
     Stage.PARAMETERS: _ask_parameter,
     Stage.CONTROL: lambda v, _: [] if v.profile is None else _ask_mode(v, v.profile.control),
     Stage.ARM: lambda v, _: [_command(v, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)],
+    Stage.DISARM: lambda v, _: [_command(v, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0)],
     Stage.HOLD: lambda v, _: [] if v.profile is None else _ask_mode(v, v.profile.hold),
 }

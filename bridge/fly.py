@@ -4,10 +4,13 @@ from array import array
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple, Protocol
 
+from bridge.decide import Decider
 from bridge.faults import Channel
 from bridge.fleet import COMPONENT, SYSTEM, TRACKER, Fleet, Request
 from bridge.link import Address, Link, Received, Sent
+from bridge.mission import Mission
 from bridge.observe import Gate, Instant, Loop, Observer
+from bridge.phases import FLY, LOADED, PREPARE
 from bridge.thrust import ThrustScale, made_thrust_N
 from bridge.wire.messages import WireError, encode
 from bridge.wire.values import Imu, PayloadState, Timesync
@@ -59,7 +62,7 @@ class Record(Protocol):
     def sent(self, boot_us: int, frames: list[tuple[int, Sent]]) -> None:
         """Frames that went out, each with the system it went to."""
 
-    def decided(self, boot_us: int, sample: Sample, tension: list[float], flying: bool, age_s: float) -> None:
+    def decided(self, boot_us: int, sample: Sample, tension: list[float], phase: str, age_s: float) -> None:
         """A control decision, and the age of the oldest measurement that its state rests on."""
 
     def event(self, boot_us: int, kind: str, subject: str, text: str) -> None:
@@ -73,12 +76,21 @@ class _Flight:
     """The state of one call of `fly`."""
 
     def __init__(
-        self, link: Link, fleet: Fleet, plan: Plan, design: Design, loop: Loop, record: Record, channels: Channels
+        self,
+        link: Link,
+        fleet: Fleet,
+        plan: Plan | Mission,
+        design: Design,
+        loop: Loop,
+        record: Record,
+        channels: Channels,
     ) -> None:
-        self.link, self.fleet, self.plan, self.design, self.record = link, fleet, plan, design, record
+        self.link, self.fleet, self.design, self.record = link, fleet, design, record
+        self.plan = plan if isinstance(plan, Plan) else None
+        self.decider = Decider(plan, loop, design) if isinstance(plan, Mission) else None
         self.loop = loop
         self.gate = Gate(fleet.n, TRACKER, loop.period_ms, loop.sensing)
-        self.observer = Observer(loop)
+        self._observer = Observer(loop)
         self.channels = channels
         self.memory: Memory = first_memory(design)
         self.routes: dict[int, tuple[int, Address]] = {}
@@ -92,6 +104,18 @@ class _Flight:
         self.scales = [ThrustScale()] * fleet.n
         self.felt: list[tuple[int, Imu]] = []  # accelerations not yet compared with what was asked
         self.released = False
+
+    @property
+    def observer(self) -> Observer:
+        """Who puts messages together."""
+        return self._observer if self.decider is None else self.decider.observer
+
+    @property
+    def phase(self) -> str:
+        """What the flight is about now."""
+        if self.decider is not None:
+            return str(self.decider.mission.phase or PREPARE)
+        return FLY if self.fleet.flying else PREPARE
 
     @property
     def flown(self) -> float:
@@ -164,22 +188,29 @@ class _Flight:
                 continue
             self.fleet.feed(frame.system, frame.component, frame.value, now)
             if frame.component == (1 if frame.system != TRACKER else COMPONENT):
-                self.observer.feed(frame.system, frame.value)
+                if self.decider is None:
+                    self.observer.feed(frame.system, frame.value)
+                else:
+                    self.decider.feed(frame.system, frame.value)
                 if isinstance(frame.value, Imu) and self.fleet.flying and frame.system <= self.fleet.n:
                     self.felt.append((frame.system - 1, frame.value))
         if frames:
             self.record.received(self.now_us, frames)
         if self.fleet.released_at is not None and not self.released:
             self.released = True
-            self.observer.released()
+            if self.decider is None:
+                self.observer.released()
             for channel in self.channels.values():
                 channel.released_us = self.now_us
-            self.record.event(self.now_us, "release", "all", "every vehicle carries itself: t = 0")
+            what = "every vehicle carries itself" if self.decider is None else "every vehicle is armed"
+            self.record.event(self.now_us, "release", "all", f"{what}: t = 0")
         for source, said in self.fleet.texts():
             self.record.event(self.now_us, "statustext", f"vehicle {source}", said.text)
 
     def _compare_thrust(self, i: int, imu: Imu) -> None:
         """What vehicle i's rotors give against what was asked: the accelerometer, less the pull of its cable."""
+        if self.decider is not None and (self.decider.mission.lost or self.phase not in LOADED):
+            return
         told = self.observer.known(imu.boot_us // 1000)
         acting = self.observer.acting(imu.boot_us // 1000 - 1)  # until then
         if told is None or acting is None:
@@ -196,8 +227,9 @@ class _Flight:
     def _answer(self, instant: Instant, arrived: float) -> Sample:
         now = instant.boot_ms * 1e-3
         t = max(0.0, self.flown)
-        measured = Measurement(t, instant.state, held=not self.fleet.flying)
-        self.memory, sample = tick(self.memory, measured, self.plan.reference(t), self.design)
+        own = sample = self._decide(t, now, instant)
+        if self.decider is not None:
+            sample = self.decider.whole(own)
         try:
             setpoints = self.fleet.setpoints(sample, instant.boot_ms)
         except WireError as error:  # nothing that is not finite goes out; the vehicles' own failsafes take over
@@ -206,13 +238,25 @@ class _Flight:
         for i, imu in self.felt:
             self._compare_thrust(i, imu)
         self.felt = []
-        self.observer.commanded(instant.boot_ms, sample.R_c, sample.f)
-        self.fleet.observed(now, instant.position_gap.tolist())
+        self.observer.commanded(instant.boot_ms, own.R_c, own.f)
+        self.fleet.observed(now, instant.position_gap.tolist() if self.decider is None else [0.0] * self.fleet.n)
         self._send(self.fleet.due(now) + setpoints)
         done = self.link.now()
-        self.record.decided(self.now_us, sample, instant.tension.tolist(), self.fleet.flying, instant.age_ms * 1e-3)
+        tension = instant.tension.tolist() if self.decider is None else self.decider.tension(instant)
+        self.record.decided(self.now_us, sample, tension, self.phase, instant.age_ms * 1e-3)
         self.predicted += instant.age_ms > 0 and self.fleet.flying
         self._time(instant.boot_ms, arrived, done)
+        return sample
+
+    def _decide(self, t: float, now: float, instant: Instant) -> Sample:
+        if self.decider is not None:
+            sample = self.decider.answer(t, now, instant)
+            for event in self.decider.events():
+                self.record.event(self.now_us, *event)
+            return sample
+        assert self.plan is not None
+        measured = Measurement(t, instant.state, held=not self.fleet.flying)
+        self.memory, sample = tick(self.memory, measured, self.plan.reference(t), self.design)
         return sample
 
     def _send(self, requests: list[Request]) -> None:
@@ -247,7 +291,7 @@ class _Flight:
 def fly(
     link: Link,
     fleet: Fleet,
-    plan: Plan,
+    plan: Plan | Mission,
     design: Design,
     loop: Loop,
     record: Record,
@@ -266,7 +310,7 @@ def fly(
     try:
         while not reason:
             sample = flight.step()
-            phase = "fly" if fleet.flying else "prepare"
+            phase = flight.phase
             waiting = fleet.unheard()
             if waiting and link.now() - begun > connect_timeout_s:
                 who = ", ".join(waiting)
@@ -275,6 +319,11 @@ def fly(
                 reason = f"every vehicle is silent since t = {flight.now_us * 1e-6:.2f} s of their clock"
             elif fleet.failure is not None:
                 reason = fleet.failure
+            elif isinstance(plan, Mission):
+                if plan.finished:
+                    completed, reason = plan.failure is None, plan.failure or "mission flown to its end"
+                else:
+                    reason = watch(phase, sample) or ""
             elif sample is not None and fleet.flying and sample.t >= plan.duration - 1e-9:
                 completed, reason = True, "plan flown to its end"
             else:

@@ -58,6 +58,8 @@ class Instant(NamedTuple):
     state: State
     tension: Array  # (n,) N, of the links at the payload
     position_gap: Array  # (n,) m between a vehicle's own position and where its cable puts it; NaN where not said
+    x: Array  # (n, 3) m, W: where vehicles say they are, carried on at the speed they say; NaN before the first word
+    v: Array  # (n, 3) m/s, W
     age_ms: int  # of the newest measurement that the oldest part rests on; 0 where all is measured
 
 
@@ -139,17 +141,25 @@ class Observer:
         self._tension = np.zeros(self._n)
         self._untold = np.full(self._n, np.nan)
         self._moving = False
+        self._slack = False
         self._begun = False
+        self._told_ms = [-1] * self._n  # when each vehicle told its position last
+        self._told_load: PayloadState | None = None
+        self._told_R: dict[int, VehicleAttitude] = {}
+        self._told_x, self._told_v = np.full((self._n, 3), np.nan), np.zeros((self._n, 3))
 
     def feed(self, source: int, value: object) -> None:
         """Take one value from the vehicle with system id `source`, or from the tracker."""
         match value:
             case VehicleAttitude() if 1 <= source <= self._n:
-                self._of(value.boot_ms).attitudes[source - 1] = value
+                self._of(value.boot_ms).attitudes[source - 1] = self._told_R[source - 1] = value
             case VehiclePosition() if 1 <= source <= self._n:
                 self._of(value.boot_ms).positions[source - 1] = value
+                if value.boot_ms > self._told_ms[source - 1] or value.boot_ms < self._told_ms[source - 1] - REBOOT_MS:
+                    self._told_ms[source - 1] = value.boot_ms
+                    self._told_x[source - 1], self._told_v[source - 1] = value.x, value.v
             case PayloadState() if source > self._n and self._loop.sensing != "vehicles":
-                self._of(value.boot_us // 1000).payload = value
+                self._of(value.boot_us // 1000).payload = self._told_load = value
             case CableShape() if source > self._n and self._loop.sensing == "full":
                 self._cable(value)
             case _:
@@ -164,6 +174,10 @@ class Observer:
         """From now on things move; before, what is not measured is as it was."""
         self._moving = True
 
+    def slack(self, is_slack: bool) -> None:
+        """Cables may hang slack, which no model of taut ones knows: nothing is carried on, all is as it is seen."""
+        self._slack, self._moving = is_slack, not is_slack
+
     def estimate(self, boot_ms: int) -> Instant | None:
         """The state at `boot_ms`; None until everything has been measured together once."""
         parts = self._parts.get(boot_ms)
@@ -175,7 +189,7 @@ class Observer:
             return None
         else:
             belief, rests_on = self._carried(boot_ms)
-            state, age = belief.state, boot_ms - rests_on
+            state, age = belief.state, boot_ms - (min(self._told_ms) if self._slack else rests_on)
         self._begun = True
         self._oldest_new = -1
         self._forget(self._known)
@@ -189,7 +203,10 @@ class Observer:
                 hung = positions(self._loop.system, state)
                 for i, said in parts.positions.items():
                     gap[i] = math.dist(said.x.tolist(), hung[i, 0].tolist())
-        return Instant(boot_ms, state, self._tension, gap, age)
+        since = np.maximum(boot_ms - np.array(self._told_ms), 0)[:, None] * 1e-3
+        return Instant(
+            boot_ms, state, self._tension, gap, self._told_x + since * self._told_v, self._told_v.copy(), age
+        )
 
     def known(self, boot_ms: int) -> tuple[State, Array] | None:
         """The state and the tensions (n,) N of an instant that was measured whole."""
@@ -245,7 +262,7 @@ class Observer:
         filter = self._loop.filter
         for stamp in sorted(self._parts, reverse=True):
             if filter is not None:
-                belief = first_belief(filter, self._seen(self._parts[stamp]))
+                belief = self._lying(filter, self._parts[stamp])
             else:
                 state = self._measured(self._parts[stamp])
                 belief = None if state is None else Belief(state, self._no_force)
@@ -253,6 +270,25 @@ class Observer:
                 self._known[stamp] = (belief, stamp)
                 return True
         return False
+
+    def _lying(self, filter: Filter, parts: _Parts) -> Belief | None:
+        """Everything where it is seen, cables straight; None without what that takes.
+
+        Where cables are slack little moves: what this stamp does not tell is as it was told last.
+        """
+        seen = self._seen(parts)
+        if self._slack:
+            load = self._told_load
+            if load is None:
+                return None
+            if parts.payload is None:
+                seen = seen._replace(x0=load.x0, v0=load.v0, R0=load.R0, Omega0=load.Omega0)
+            for i in range(self._n):
+                if i not in parts.positions:
+                    seen.x[i], seen.v[i] = self._told_x[i], self._told_v[i]
+                if i not in parts.attitudes and i in self._told_R:
+                    seen.R[i], seen.Omega[i] = self._told_R[i].R, self._told_R[i].Omega
+        return first_belief(filter, seen)
 
     def _seen(self, parts: _Parts) -> Seen:
         """What was measured, for the filter."""
@@ -289,8 +325,9 @@ class Observer:
         base = max((stamp for stamp in self._known if stamp < first), default=min(self._known))
         belief, rests_on = self._known[base]
         at = base
+        told = sorted(stamp for stamp in self._parts if base < stamp <= boot_ms)  # sources keep their own time
         while at < boot_ms:
-            following = min(at + self._loop.period_ms, boot_ms)
+            following = min(at + self._loop.period_ms, boot_ms, next((stamp for stamp in told if stamp > at), boot_ms))
             belief = self._predicted(belief, at, following)
             at = following
             parts = self._parts.get(at)
@@ -307,6 +344,8 @@ class Observer:
         return belief, rests_on
 
     def _filtered(self, filter: Filter, belief: Belief, parts: _Parts) -> Belief:
+        if self._slack:
+            return self._lying(filter, parts) or belief
         after = corrected(filter, belief, self._seen(parts))
         if self._moving:
             return after

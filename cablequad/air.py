@@ -5,8 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cablequad._jit import jit
-from cablequad.attitude import Airframe, Setpoint, moments
-from cablequad.integrate import Command, Scratch, advance
+from cablequad.integrate import Scratch
 from cablequad.state import State, velocities
 from cablequad.system import System
 from cablequad.types import Array
@@ -49,16 +48,3 @@ def _drag(density_area: float, wind: Array, v: Array, out: Array) -> None:
     size = np.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
     for b in range(3):
         out[b] = 0.5 * density_area * size * w[b]
-
-
-@jit
-def fly_in_wind(
-    system: System, airframe: Airframe, setpoint: Setpoint, state: State, h: float, air: Air, wind: Array, work: Scratch
-) -> None:
-    """`attitude.fly` in air that moves with `wind` (steps, 3) m/s, W; drag is held over each step of `h` s."""
-    n = system.m.shape[0]
-    command = Command(np.zeros(n), np.zeros((n, 3)))
-    for k in range(wind.shape[0]):
-        moments(system, airframe, setpoint, state, command)
-        drag(system, state, air, wind[k], work.on_vehicles, work)
-        advance(system, state, command, h, 1, work)

@@ -36,20 +36,28 @@ class Workspace(NamedTuple):
     p: Array  # (n, 3), payload frame: direction of the last link
     loaded: npt.NDArray[np.bool_]  # (1,) whether forces from outside act; they are what follows, 0 otherwise
     on_payload: Array  # (3,) N, W, at the centre of mass
+    turning: Array  # (3,) N m, payload frame
     on_nodes: Array  # (n, L, 3) N, W, at the payload-side end of each link
 
 
 def accelerations(
-    system: System, state: State, force: Array, on_payload: Array | None = None, on_nodes: Array | None = None
+    system: System,
+    state: State,
+    force: Array,
+    on_payload: Array | None = None,
+    on_nodes: Array | None = None,
+    turning: Array | None = None,
 ) -> Accelerations:
     """Accelerations and tensions of `state` under `force` (n, 3) N, W, at the vehicles.
 
-    From outside may act: (3,) N, W, at the payload's centre of mass and (n, L, 3) at the payload-side ends of links.
+    From outside may act: (3,) N, W, at the payload's centre of mass, (n, L, 3) at the payload-side ends of links, and
+    `turning` (3,) N m on the payload, in its frame.
     """
     n, L = system.length.shape
     work = workspace(system)
-    if on_payload is not None or on_nodes is not None:
+    if on_payload is not None or on_nodes is not None or turning is not None:
         work.loaded[0] = True
+        work.turning[:] = 0.0 if turning is None else turning
         work.on_payload[:] = 0.0 if on_payload is None else on_payload
         work.on_nodes[:] = 0.0 if on_nodes is None else on_nodes
     out = Accelerations(np.empty(3), np.empty(3), np.zeros((n, L, 3)), np.zeros((n, L)))
@@ -64,7 +72,7 @@ def workspace(system: System) -> Workspace:
     n, L = system.length.shape
     return Workspace(
         np.zeros((n, L)), np.zeros((n, L)), np.zeros((n, L)), np.zeros((6, 7)), np.zeros((n, 3)), np.zeros((n, 3)),
-        np.zeros(1, dtype=np.bool_), np.zeros(3), np.zeros((n, L, 3)),
+        np.zeros(1, dtype=np.bool_), np.zeros(3), np.zeros(3), np.zeros((n, L, 3)),
     )  # fmt: skip
 
 
@@ -178,6 +186,7 @@ def _solve_payload(system: System, state: State, out: Accelerations, work: Works
         F = work.on_payload
         for a in range(3):
             S[a, 6] += R0[0, a] * F[0] + R0[1, a] * F[1] + R0[2, a] * F[2]
+            S[3 + a, 6] += work.turning[a]
     _solve_spd(S)
     for a in range(3):
         out.x0_ddot[a] = R0[a, 0] * S[0, 6] + R0[a, 1] * S[1, 6] + R0[a, 2] * S[2, 6]

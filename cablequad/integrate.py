@@ -94,20 +94,20 @@ def _tangent(n: int, L: int) -> Tangent:
 def advance(system: System, state: State, command: Command, h: float, steps: int, s: Scratch) -> None:
     """`steps` steps of length `h` in place, without allocation."""
     for _ in range(steps):
-        _clear(s)
-        _derive(system, state, command, s)
-        _stage(system, state, state, s, h / 6.0, 0.5 * h)
-        _derive(system, s.stage, command, s)
-        _stage(system, state, s.stage, s, h / 3.0, 0.5 * h)
-        _derive(system, s.stage, command, s)
-        _stage(system, state, s.stage, s, h / 3.0, h)
-        _derive(system, s.stage, command, s)
-        _stage(system, state, s.stage, s, h / 6.0, 0.0)
-        _finish(system, state, s)
+        clear(s)
+        derive(system, state, command, s)
+        stage(system, state, state, s, h / 6.0, 0.5 * h)
+        derive(system, s.stage, command, s)
+        stage(system, state, s.stage, s, h / 3.0, 0.5 * h)
+        derive(system, s.stage, command, s)
+        stage(system, state, s.stage, s, h / 3.0, h)
+        derive(system, s.stage, command, s)
+        stage(system, state, s.stage, s, h / 6.0, 0.0)
+        finish(system, state, s)
 
 
 @inlined
-def _clear(s: Scratch) -> None:
+def clear(s: Scratch) -> None:
     """A step begins at its start, with nothing summed."""
     for t in (s.move, s.total):
         t.x0[:], t.v0[:], t.R0[:], t.Omega0[:] = 0.0, 0.0, 0.0, 0.0
@@ -118,7 +118,7 @@ def _clear(s: Scratch) -> None:
 
 
 @inlined
-def _derive(system: System, at: State, command: Command, s: Scratch) -> None:
+def derive(system: System, at: State, command: Command, s: Scratch) -> None:
     """Accelerations at `at`: payload and links, and J Omega_dot = M - Omega x J Omega of each quadrotor."""
     for i in range(system.m.shape[0]):
         R, O, J, Ji = at.R[i], at.Omega[i], system.J[i], system.J_inv[i]
@@ -137,7 +137,7 @@ def _derive(system: System, at: State, command: Command, s: Scratch) -> None:
 
 
 @inlined
-def _stage(system: System, base: State, at: State, s: Scratch, weight: float, reach: float) -> None:
+def stage(system: System, base: State, at: State, s: Scratch, weight: float, reach: float) -> None:
     """Sum the slopes at `at` with `weight`, then move the stage to `base` + `reach` x slope (reach 0: no next stage).
 
     `at` may be the stage itself: what is read of it is read before it is written. Triples are tuples here, as views of
@@ -203,7 +203,7 @@ def _slope(xi: Triple, w: Triple, side: float) -> Triple:
 
 
 @inlined
-def _finish(system: System, state: State, s: Scratch) -> None:
+def finish(system: System, state: State, s: Scratch) -> None:
     """state moved by the summed slopes; rounding drift and the order-5 part of omega along q are taken off."""
     total, keep = s.total, s.stage
     for a in range(3):

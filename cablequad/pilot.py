@@ -122,7 +122,7 @@ def _decide(memory: Memory, s: State, on_hold: bool, reference: Reference, desig
         way_now[k] = way[k - 1] if k > 0 else A - form.command
     if yaw != 0.0:
         A, way_now = turned(A, yaw), turned(way_now, yaw)
-    R_c, f, Psi = _commands(A, s.R, design.b1, design.authority, most, design.airframe.max_thrust, memory.R_c[0])
+    R_c, f, Psi = commands(A, s.R, design.b1, design.authority, most, design.airframe.max_thrust, memory.R_c[0])
     next_memory = Memory(_shifted(memory.R_c, R_c), _shifted(memory.f, f), way_now, lasting, np.array([calm]))
     e_q, e_omega = _link_errors(system.n_links, seen.q, seen.omega, form.target.q)
     Psi_0 = 0.5 * (3.0 - np.sum(form.target.R0 * seen.R0))
@@ -249,9 +249,10 @@ def _horizontal_forces(R: Array, Omega: Array, u_star: Array) -> tuple[Array, Ar
 
 
 @jit
-def _commands(
+def commands(
     A: Array, R: Array, b1: Array, limits: Authority, most: Array, max_thrust: Array, R_before: Array
 ) -> tuple[Array, Array, Array]:
+    """R_c (n, 3, 3), f (n,) N and Psi (n,) that give A (n, 3) N as far as attitudes R (n, 3, 3) allow."""
     n = A.shape[0]
     R_c, f, Psi = np.empty((n, 3, 3)), np.empty(n), np.empty(n)
     for i in range(n):

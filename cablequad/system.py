@@ -130,6 +130,33 @@ class System(NamedTuple):
         return cls.of(Payload(mass, box_inertia(mass, box), attachments), [quadrotor] * 4, [cable] * 4)
 
 
+def without(system: System, lost: Sequence[int]) -> System:
+    """The system that is left when the cables of the vehicles `lost` (from 0) come off the load."""
+    kept = [i for i in range(len(system.m)) if i not in lost]
+    if not kept:
+        raise ValueError("no vehicle is left")
+    return System.of(
+        Payload(system.m0, system.J0, system.rho[kept]),
+        [Quadrotor(float(system.m[i]), system.J[i]) for i in kept],
+        [_cable(system, i) for i in kept],
+        system.g,
+    )
+
+
+def cut_off(system: System, i: int) -> System:
+    """Vehicle i with its cable, which ends in the last link's mass: half of it tied, half as a load without size."""
+    k = int(system.n_links[i]) - 1
+    cable, half = _cable(system, i), 0.5 * float(system.m_link[i, k])
+    point = Payload(half, [1e-6] * 3, [[0.0, 0.0, 0.0]])
+    vehicle = Quadrotor(float(system.m[i]), system.J[i])
+    return System.of(point, [vehicle], [Cable([*cable.masses[:-1], half], cable.lengths)], system.g)
+
+
+def _cable(system: System, i: int) -> Cable:
+    k = int(system.n_links[i])
+    return Cable(system.m_link[i, :k].tolist(), system.length[i, :k].tolist())
+
+
 def box_inertia(mass: float, box: Sequence[float]) -> Array:
     """(3, 3) kg m^2 of a homogeneous box of `mass` kg and edge lengths `box` (x, y, z) m about its centre."""
     x, y, z = box

@@ -68,11 +68,11 @@ def plant(boot_us: int, held: bool, m: Motion) -> bytes:
     ))  # fmt: skip
 
 
-def control(boot_us: int, sample: Sample, tension: Sequence[float], flying: bool, age_s: float) -> bytes:
+def control(boot_us: int, sample: Sample, tension: Sequence[float], phase: str, age_s: float) -> bytes:
     """/control/state."""
     s, e = sample.state, sample.error
     return serialized(pb.ControlState, (
-        ("sim_time_ns", boot_us * 1000), ("t", sample.t), ("phase", "fly" if flying else "prepare"),
+        ("sim_time_ns", boot_us * 1000), ("t", sample.t), ("phase", phase),
         ("e_x0", e.x[0:3]), ("e_v0", e.x_dot[0:3]), ("Psi_0", sample.Psi_0), ("e_Omega0", e.x_dot[3:6]),
         ("Psi", sample.Psi), ("e_Omega", s.Omega),
         ("e_q", sample.e_q), ("e_w", sample.e_omega), ("ideal_force", sample.A), ("thrust", sample.f),

@@ -139,7 +139,7 @@ class Recorder:
         boot_us: int,
         sample: Sample,
         tension: list[float],
-        flying: bool,
+        phase: str,
         age_s: float = 0.0,
         off: Difference | None = None,
     ) -> None:
@@ -147,7 +147,7 @@ class Recorder:
 
         `off` says how far that state was from the true one, where a simulator told it.
         """
-        self._put(lambda: self._decided(boot_us, sample, tension, flying, age_s))
+        self._put(lambda: self._decided(boot_us, sample, tension, phase, age_s))
         if off is not None:
             self._put(lambda: self._write("/control/estimate", boot_us, encode.estimate(boot_us, off)))
 
@@ -279,8 +279,8 @@ class Recorder:
             envelope = mavlink_frame(f.frame, f.msgid, f.system, f.component, f.seq, f.name)
             self._write(f"/mavlink/{who}/{direction}", boot_us, envelope)
 
-    def _decided(self, boot_us: int, sample: Sample, tension: list[float], flying: bool, age_s: float) -> None:
-        self._write("/control/state", boot_us, encode.control(boot_us, sample, tension, flying, age_s))
+    def _decided(self, boot_us: int, sample: Sample, tension: list[float], phase: str, age_s: float) -> None:
+        self._write("/control/state", boot_us, encode.control(boot_us, sample, tension, phase, age_s))
         self._write("/control/reference", boot_us, encode.reference(boot_us, sample))
         if not self._with_truth:
             thrust: Array = sample.f

@@ -12,6 +12,7 @@ import numpy as np
 
 from bridge.fleet import COMPONENT, TRACKER
 from bridge.observe import Observer
+from bridge.phases import FLY
 from bridge.wire.dialect import mavlink
 from bridge.wire.messages import decode
 from cablequad.design import Design
@@ -84,12 +85,11 @@ def _follow(path: Path, flight: Flight, design: Design) -> Redecided:
             instant = observer.estimate(boot_ms)
             if instant is None:
                 raise LogError(f"log {path}: no state can be made of the frames before t = {was.t:.3f} s")
-            flying = was.phase == "fly"
-            measured = Measurement(was.t, instant.state, held=not flying)
+            measured = Measurement(was.t, instant.state, held=was.phase != FLY)
             memory, sample = tick(memory, measured, at(flight.trajectory, was.t), design)
             observer.commanded(boot_ms, sample.R_c, sample.f)
             tension, age_s = instant.tension.tolist(), instant.age_ms * 1e-3
-            after.append(encode.control(boot_ms * 1000, sample, tension, flying, age_s))
+            after.append(encode.control(boot_ms * 1000, sample, tension, was.phase, age_s))
     if not after:
         raise LogError(f"log {path}: no decision in it")
     return _compared(recorded, after)

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from importlib import metadata as packages
 from pathlib import Path
 from types import FrameType
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,7 +23,9 @@ from bridge.faults import Channel, Tally, generator
 from bridge.fleet import TRACKER, Fleet
 from bridge.fly import Outcome, Plan, Timing, fly
 from bridge.link import Endpoint, Link, LinkError, Received
+from bridge.mission import Mission
 from bridge.observe import Loop
+from bridge.phases import CARRIED, FLY
 from bridge.ports import TRACKER_PORTS, vehicle_ports
 from bridge.wire.frames import Signer
 from bridge.wire.messages import attitude_target, reread
@@ -34,11 +37,13 @@ from cablequad.design import Design
 from cablequad.estimate import Belief, corrected, nothing_seen, predicted
 from cablequad.pilot import Measurement, Sample, first_memory, tick
 from cablequad.reach import reach
+from cablequad.single import Goals, fly_each, integrated
 from cablequad.state import positions
 from cablequad.trajectory import at
 from logs.encode import SCHEMA_VERSION, Model
 from logs.recorder import Attachment, RecorderError
 from missions import scenario as scenarios
+from missions.mission import mission_of, rest_z
 from missions.scenario import Flight
 from missions.scribe import Opening, Scribe
 from missions.show import Show
@@ -86,9 +91,9 @@ class _Watch:
         self.tallies: list[Tally] = []  # of the faulty links to the controller
         self.received, self.sent, self.perf = scribe.received, scribe.sent, scribe.perf
 
-    def decided(self, boot_us: int, sample: Sample, tension: list[float], flying: bool, age_s: float) -> None:
-        self.scribe.decided(boot_us, sample, tension, flying, age_s)
-        if flying and not self.ended:
+    def decided(self, boot_us: int, sample: Sample, tension: list[float], phase: str, age_s: float) -> None:
+        self.scribe.decided(boot_us, sample, tension, phase, age_s)
+        if phase in CARRIED and not self.ended:
             self.track.decided(sample)
             self.track.tension(min(tension))
 
@@ -128,6 +133,7 @@ def _run(flight: Flight, design: Design, options: Options, progress: Progress) -
         progress.say("getting ready (the first start on a machine compiles the model: a minute or two)")
         _warm_up(design, flight)  # before the vehicles' clock runs: it does not wait for a compiler
         predict_once(flight)
+        ready = _prepared(flight, design, options.configure)
         if not options.connect:
             serving = Serving(
                 lockstep=math.isinf(options.speed), await_controller=True, speed=options.speed,
@@ -146,7 +152,7 @@ def _run(flight: Flight, design: Design, options: Options, progress: Progress) -
                 timing = NO_TIME
             else:
                 few_collections()
-                outcome, timing = _fly(flight, design, link, watch, simulator, interrupted, progress, options.configure)
+                outcome, timing = _fly(flight, design, ready, link, watch, simulator, interrupted, progress)
         if simulator is not None:
             simulator.stop()
             while after := link.poll(0.0):  # what was still on its way is counted too
@@ -159,7 +165,7 @@ def _run(flight: Flight, design: Design, options: Options, progress: Progress) -
             missed = simulator.report.missed_deadlines + simulator.report.missed_answers
         summary = summarize(
             flight.scenario.name, flight.scenario.acceptance, watch.track, outcome, timing,
-            link.counters.sent, link.counters.lost, missed, n, judged.followed,
+            link.counters.sent, link.counters.lost, missed, n, judged.followed, judged.grounded,
         )  # fmt: skip
         wire = _wire(link, simulator, watch.tallies, timing.unread)
         taken = wire["down_lost"] + wire.get("up_lost", 0)
@@ -219,20 +225,36 @@ def loop_of(flight: Flight) -> Loop:
     )  # fmt: skip
 
 
+class _Ready(NamedTuple):
+    """What a flight needs, made before any clock runs."""
+
+    fleet: Fleet
+    plan: Plan | Mission
+    loop: Loop
+
+
+def _prepared(flight: Flight, design: Design, configure: bool) -> _Ready:
+    s = flight.scenario
+    grounded = s.mission is not None
+    fleet = Fleet(flight.airframe.max_thrust.tolist(), flight.control_us * 1e-6, configure, s.control.sensing, grounded)
+    if grounded:
+        return _Ready(fleet, mission_of(flight, fleet, design), loop_of(flight))
+    return _Ready(fleet, Plan(lambda t: at(flight.trajectory, t), s.duration_s), loop_of(flight))
+
+
 def _fly(
     flight: Flight,
     design: Design,
+    ready: _Ready,
     link: Link,
     watch: _Watch,
     simulator: Simulator | None,
     interrupted: Callable[[], bool],
     progress: Progress,
-    configure: bool,
 ) -> tuple[Outcome, Timing]:
     s = flight.scenario
-    plan = Plan(lambda t: at(flight.trajectory, t), s.duration_s)
-    loop, sensing = loop_of(flight), s.control.sensing
-    fleet = Fleet(flight.airframe.max_thrust.tolist(), flight.control_us * 1e-6, configure, sensing)
+    fleet, plan, loop = ready
+    grounded = isinstance(plan, Mission)
     channels = {
         (TRACKER if i == len(flight.firmware) else i + 1): Channel[Received](faults, generator(s.seed, i + 1, up=False))
         for i, faults in enumerate(flight.faults_down)
@@ -247,15 +269,19 @@ def _fly(
             return watch.scribe.error
         if simulator is not None and simulator.failure is not None:
             return simulator.failure
-        if sample is not None and phase == "fly":
+        if sample is not None and (phase == FLY or (grounded and fleet.released_at is not None)):
             now = time.monotonic()
             if not started:
                 started.append(now)
             error = math.hypot(*sample.error.x[:3].tolist())
             progress.flown(sample.t, s.duration_s, error, sample.t / max(1e-9, now - started[0]))
+            if grounded and sample.t > s.duration_s:
+                return f"the mission is not over after {s.duration_s:g} s (duration_s), in phase {phase}"
         return None
 
     outcome, timing = fly(link, fleet, plan, design, loop, watch, s.link.connect_timeout_s, look, channels)
+    if isinstance(plan, Mission):
+        plan.close()
     watch.tallies = [channel.tally for channel in channels.values()]
     return outcome._replace(interrupted=outcome.interrupted or interrupted()), timing
 
@@ -277,6 +303,11 @@ def _warm_up(design: Design, flight: Flight) -> None:
         attitude_target(0, 1, (1.0, 0.0, 0.0, 0.0), 0.5),
     ):
         reread(encode_message(value))
+    if flight.scenario.mission is not None:
+        n = len(flight.system.m)
+        goals = Goals(np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n), np.ones(n))
+        integrated(np.zeros((n, 3)), goals.x, goals, 1.0)
+        fly_each(design, goals.x, goals.v, flight.initial.R, goals.a, goals, flight.initial.R)
     lie.normalize(flight.initial.q.copy())
     lie.quats_from_rotations(sample.R_c)
     positions(flight.system, flight.initial)
@@ -359,6 +390,7 @@ def _opening(flight: Flight, design: Design, options: Options) -> Opening:
         ],
         s.epoch_s * 10**9,
         with_truth=not options.connect,
+        rest_z=rest_z(flight),
         target_m=(float(s.target.position_m[0]), float(s.target.position_m[1]), float(s.target.position_m[2])),
     )
 

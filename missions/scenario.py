@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import BaseModel, ValidationError
+from scipy import optimize
 
 from bridge.faults import Faults
 from cablequad import lie
@@ -17,15 +18,18 @@ from cablequad.air import Air
 from cablequad.attitude import Airframe
 from cablequad.design import Design, DesignError, Weights, continuous_law, sampled_law
 from cablequad.estimate import Filter, Observer, observer
+from cablequad.ground import box_corners
 from cablequad.linear import EquilibriumError, equilibrium
 from cablequad.noise import Noise
+from cablequad.rotors import Rotors
 from cablequad.state import State
 from cablequad.stiffness import STABLE, stable_substep
 from cablequad.system import Cable, Payload, Quadrotor, System, box_inertia
 from cablequad.trajectory import Limits, Trajectory, along, at, circle, joined, leg, lemniscate, waypoints
 from missions.course import SETTLE_S, CourseError, course_from, course_of
-from missions.tables import FaultTable, OneVehicleTable, Scenario, TargetTable
+from missions.tables import FaultTable, GroundTable, OneVehicleTable, RotorsTable, Scenario, TargetTable
 from sitl.firmware.parameters import arducopter_parameters, px4_parameters
+from sitl.plant import Surroundings
 from sitl.wind import Weather
 
 
@@ -39,7 +43,7 @@ class World(NamedTuple):
     system: System
     airframe: Airframe
     thrust_scale: tuple[float, ...]  # N made per N asked
-    air: Air | None
+    around: Surroundings
     weather: Weather | None
 
 
@@ -64,6 +68,7 @@ class Flight(NamedTuple):
     script: str | None = None  # the text of the mission script that gave the trajectory
 
 
+AIR_KG_M3 = 1.225
 TICK_US = 4000  # the vehicles speak at 250 Hz, or as often as control asks
 
 
@@ -235,6 +240,8 @@ def _flight(s: Scenario, source: str) -> Flight:
         if v.initial_link_directions is not None:
             q = np.array(v.initial_link_directions)
             initial.q[i, : len(q)] = q / np.linalg.norm(q, axis=1, keepdims=True)
+    if s.ground is not None:
+        _lay_out(s, s.ground, system, initial)
     initial = initial.copy()  # arrays of one layout, as compiled code is compiled for each
     control_us = round(1e6 / s.control.rate_hz)
     notes = []
@@ -263,7 +270,7 @@ def _flight(s: Scenario, source: str) -> Flight:
         system_of(s, heavier),
         airframe if bandwidth is None else airframe._replace(bandwidth=np.full(len(s.vehicles), bandwidth)),
         tuple(scale) if isinstance(scale, list) else (scale,) * len(s.vehicles),
-        None if s.wind is None else _air(s, system, [of(v, "drag_area_m2") for v in s.vehicles]),
+        _around(s, system, airframe, [of(v, "drag_area_m2") for v in s.vehicles]),
         None if s.wind is None else Weather(np.array(s.wind.mean_m_s), s.wind.gusts, s.wind.height_m),
     )
     return Flight(
@@ -285,13 +292,88 @@ def _truth_us(s: Scenario, physics_us: int, tick_us: int) -> int:
     return round(asked)
 
 
+def _around(s: Scenario, system: System, airframe: Airframe, areas: list[float]) -> Surroundings:
+    """What a plant has around it."""
+    n, r = len(s.vehicles), s.vehicle.rotors
+    rotors = None
+    if r is not None or s.failures:
+        r = r or RotorsTable(time_constant_s=0.0)
+        arm, drag, time = np.full(n, r.arm_m), np.full(n, r.drag_torque_m), np.full(n, r.time_constant_s)
+        rotors = Rotors(arm, drag, time, airframe.max_thrust / 4.0, np.ones((n, 4)))
+    gusts = any(f.kind == "gust" for f in s.failures)
+    air = None if s.wind is None and not gusts else _air(s, system, areas)
+    half, high = s.vehicle.feet_m
+    feet = np.array([(a, b, high) for a in (-half, half) for b in (-half, half)])
+    x, y, z = s.payload.box_m
+    return Surroundings(
+        air, rotors, None if s.ground is None else s.ground.z_m, 0.0 if s.ground is None else s.ground.friction,
+        box_corners((x, y, z)), feet, s.payload.downwash,
+    )  # fmt: skip
+
+
+def _lay_out(s: Scenario, ground: GroundTable, system: System, initial: State) -> None:
+    """Vehicles stand beside the load; cables bulge sideways in the air from one to the other, and fall when it begins.
+
+    Raises ValueError where the load is not on the ground or a cable is too short.
+    """
+    x, y, z = s.payload.box_m
+    lowest = float((initial.x0 + box_corners((x, y, z)) @ initial.R0.T)[:, 2].max())
+    if abs(lowest - ground.z_m) > 0.01:
+        raise ValueError(
+            f"initial.position_m: the load's lowest corner is at z = {lowest:.3f} m; with [ground] it must stand at "
+            f"{ground.z_m:g} m"
+        )
+    for i, v in enumerate(s.vehicles):
+        if v.initial_link_directions is not None:
+            continue
+        k = int(system.n_links[i])
+        end = initial.x0 + initial.R0 @ system.rho[i]
+        out = initial.R0 @ np.array([*system.rho[i, :2], 0.0])
+        size = float(np.linalg.norm(out))
+        out = out / size if size > 1e-6 else np.array([1.0, 0.0, 0.0])
+        at = end + ground.stand_off_m * out
+        if v.stands_m is not None:
+            at = initial.x0 + initial.R0 @ np.array([*v.stands_m, 0.0])
+        at[2] = ground.z_m - s.vehicle.feet_m[1]
+        way = end - at
+        long, far = float(system.length[i, :k].sum()), float(np.linalg.norm(way))
+        if far > 0.98 * long:
+            raise ValueError(
+                f"vehicles.{i}: it stands {far:.2f} m from where its cable is tied; the cable is {long:.2f} m long"
+            )
+        initial.q[i, :k] = slack_chain(system.length[i, :k], way)
+
+
+def slack_chain(lengths: np.ndarray, way: np.ndarray) -> np.ndarray:
+    """(k, 3) directions of links that lead along `way` (3,) m, shorter than they are: an even bow to the side."""
+    far = float(np.linalg.norm(way))
+    along = way / far
+    side = np.cross([0.0, 0.0, 1.0], along)
+    side = side / np.linalg.norm(side) if np.linalg.norm(side) > 1e-6 else np.array([0.0, 1.0, 0.0])
+    middle = (np.cumsum(lengths) - 0.5 * lengths) / lengths.sum() - 0.5
+
+    def bow(turn: float) -> np.ndarray:
+        angle = turn * middle
+        return np.outer(np.cos(angle), along) + np.outer(np.sin(angle), side)
+
+    def excess(turn: float) -> float:
+        return float(np.linalg.norm(lengths @ bow(turn))) - far
+
+    if len(lengths) == 1:
+        return bow(0.0)
+    q = bow(float(optimize.brentq(excess, 0.0, 2 * np.pi)))
+    ends = lengths @ q
+    turned = lie.exp(lie.direction_to(ends / np.linalg.norm(ends), along))
+    return q @ turned.T
+
+
 def _air(s: Scenario, system: System, vehicles: list[float]) -> Air:
-    assert s.wind is not None
     links = np.zeros(system.length.shape)
     for i, cable in enumerate(v.cable or s.cable for v in s.vehicles):
         lengths = np.array(cable.link_lengths_m)
         links[i, : len(lengths)] = cable.drag_area_m2 * lengths / lengths.sum()
-    return Air(s.wind.air_density_kg_m3, s.payload.drag_area_m2, np.array(vehicles), links)
+    density = s.wind.air_density_kg_m3 if s.wind is not None else AIR_KG_M3
+    return Air(density, s.payload.drag_area_m2, np.array(vehicles), links)
 
 
 def _limits(s: Scenario) -> Limits:
@@ -307,9 +389,13 @@ def _start(s: Scenario, initial: State, system: System) -> list[float]:
 
 def _trajectory(s: Scenario, system: System, initial: State) -> Trajectory:
     """From where the load begins, by what [plan] says, to the target."""
+    return route(s, _start(s, initial, system), [*s.target.position_m, math.radians(s.target.yaw_deg)])
+
+
+def route(s: Scenario, start: list[float], end: list[float]) -> Trajectory:
+    """From x, y, z (m) and yaw (rad) to such a place by what [plan] says."""
     p = s.plan
-    limits, start = _limits(s), _start(s, initial, system)
-    end = [*s.target.position_m, math.radians(s.target.yaw_deg)]
+    limits = _limits(s)
     if p.path == "target":
         return leg(start, end, limits)
     if p.path == "waypoints":

@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bridge.link import Received, Sent
+from bridge.phases import CARRIED
 from bridge.wire.dialect import mavlink
 from cablequad.pilot import Sample
 from cablequad.state import State, difference, positions
@@ -29,7 +30,7 @@ from logs import encode
 from logs.encode import Model, Motion
 from logs.recorder import FLUSH_S, Attachment, Frame, Recorder, RecorderError
 from missions.channel import Shapes, put_sample, sample_shapes, take, take_sample
-from missions.tracking import Followed, Following
+from missions.tracking import Followed, Following, Grounded, OnGround
 from sitl.plant import Truth
 from sitl.server import Event
 
@@ -38,6 +39,7 @@ TOGETHER = 16  # decisions in one write, as a wake-up of the scribe costs more t
 BATCH = 128  # entries that wait at most, where no tick is answered
 TRUTH_WAIT_S = 1.0  # the simulator says what it did right after it spoke; longer means that it has ended
 START_S = 60.0
+TAUT_N = 0.05  # a cable that was slack is taut again when every link pulls with this
 
 
 class Opening(NamedTuple):
@@ -50,6 +52,7 @@ class Opening(NamedTuple):
     epoch_ns: int
     with_truth: bool
     target_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    rest_z: float | None = None  # m, of a load that stands on the ground at first
 
 
 class Judged(NamedTuple):
@@ -57,6 +60,7 @@ class Judged(NamedTuple):
 
     smallest_tension_N: float
     followed: Followed | None
+    grounded: Grounded | None = None
 
 
 class Closing(NamedTuple):
@@ -105,12 +109,12 @@ class Scribe:
         """Frames that went out, each with the system it went to."""
         self._put("tx", boot_us, [(to, frame.frame) for to, frame in frames])
 
-    def decided(self, boot_us: int, sample: Sample, tension: list[float], flying: bool, age_s: float) -> None:
+    def decided(self, boot_us: int, sample: Sample, tension: list[float], phase: str, age_s: float) -> None:
         """A control decision, which ends a tick."""
         if not self._shapes_told:
             self._shapes_told = True
             self._put("shapes", boot_us, sample_shapes(sample))
-        self._put("decided", boot_us, put_sample(sample), tension, flying, age_s)
+        self._put("decided", boot_us, put_sample(sample), tension, phase, age_s)
         self._decisions += 1
         if self._decisions % TOGETHER == 0:
             self.flush()
@@ -190,7 +194,12 @@ class _Ledger:
     """The scribe's side: puts what it is told into the recorder, truth in its place."""
 
     def __init__(
-        self, recorder: Recorder, model: Model, truth: Connection, target_m: tuple[float, float, float]
+        self,
+        recorder: Recorder,
+        model: Model,
+        truth: Connection,
+        target_m: tuple[float, float, float],
+        rest_z: float | None,
     ) -> None:
         self._recorder = recorder
         self._used = np.arange(model.system.length.shape[1])[None, :] < model.system.n_links[:, None]
@@ -206,6 +215,7 @@ class _Ledger:
         self._smallest_N = math.inf
         self._following = Following(target_m)
         self._newest: Truth | None = None
+        self._ground = None if rest_z is None else OnGround(rest_z, target_m)
 
     def take(self, entry: tuple) -> None:
         """Write one entry of the bridge."""
@@ -230,14 +240,16 @@ class _Ledger:
     @property
     def judged(self) -> Judged:
         """What was true of the flight so far."""
-        return Judged(self._smallest_N, self._following.followed())
+        return Judged(
+            self._smallest_N, self._following.followed(), None if self._ground is None else self._ground.judged()
+        )
 
-    def _decided(self, boot_us: int, sample: Sample, tension: list[float], flying: bool, age_s: float) -> None:
+    def _decided(self, boot_us: int, sample: Sample, tension: list[float], phase: str, age_s: float) -> None:
         true = self._newest.state if self._newest is not None and self._newest.boot_us == boot_us else None
         off = None if true is None else difference(sample.state, true, self._n_links)
-        if flying and not self._ended and true is not None:
+        if phase in CARRIED and not self._ended and true is not None:
             self._following.take(sample, true, off, self._used)
-        self._recorder.decided(boot_us, sample, tension, flying, age_s, off)
+        self._recorder.decided(boot_us, sample, tension, phase, age_s, off)
 
     def sources(self, down: Connection) -> list[Connection]:
         """What may have something to say."""
@@ -286,6 +298,8 @@ class _Ledger:
         self._newest = truth
         motion = Motion(truth.state, truth.x, truth.v, truth.tension, truth.thrust)
         self._recorder.truth(truth.boot_us, truth.held, motion)
+        if self._ground is not None:
+            self._ground.take(truth.state, truth.x, truth.tension[self._used])
         if not truth.held and not self._ended:
             tension = np.where(self._used, truth.tension, np.inf)
             self._smallest_N = min(self._smallest_N, float(tension.min()))
@@ -299,7 +313,7 @@ class _Ledger:
                 self._slack.add(i)
                 text = f"link {link + 1} pushes with {-tension[i, link]:.2f} N: the cable is slack"
                 self._recorder.plant_event(boot_us, "slack", f"cable {i + 1}", text)
-            elif not pushes and i in self._slack:
+            elif tension[i, link] > TAUT_N and i in self._slack:
                 self._slack.discard(i)
                 self._recorder.plant_event(boot_us, "taut", f"cable {i + 1}", "every link pulls again")
 
@@ -331,7 +345,7 @@ def _child(opening: Opening, down: Connection, up: Connection, truth: Connection
         return
     _encode_once(opening.model)
     up.send("ready")
-    ledger = _Ledger(recorder, opening.model, truth, opening.target_m)
+    ledger = _Ledger(recorder, opening.model, truth, opening.target_m, opening.rest_z)
     told_error = False
     while True:
         try:

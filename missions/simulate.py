@@ -69,7 +69,7 @@ def settings(flight: Flight, serving: Serving) -> Settings:
         signing_key=serving.signing_key,
         accept_unsigned_telemetry=serving.accept_unsigned_telemetry,
         thrust_scale=flight.world.thrust_scale,
-        air=flight.world.air,
+        around=flight.world.around,
         weather=flight.world.weather,
         noise=scenarios.noise(flight),
     )

@@ -9,7 +9,7 @@ from bridge.fly import Outcome, Timing
 from cablequad.pilot import Sample
 from cablequad.system import System
 from missions.tables import AcceptanceTable
-from missions.tracking import Followed, Following
+from missions.tracking import Followed, Following, Grounded
 
 
 class Track:
@@ -76,6 +76,10 @@ class Summary(NamedTuple):
     mean_position_error_m: float | None = None  # over the last 10 s
     link_direction_error_deg: float | None = None  # rms of the estimate that was flown by
     payload_attitude_error_deg: float | None = None
+    set_down_error_m: float | None = None  # of a mission: level distance of the load that stands from its target
+    touch_down_m_s: float | None = None
+    max_tension_N: float | None = None
+    min_separation_m: float | None = None  # between vehicles
 
 
 def criteria(limits: AcceptanceTable, s: Summary) -> list[Criterion]:
@@ -91,17 +95,19 @@ def criteria(limits: AcceptanceTable, s: Summary) -> list[Criterion]:
         "rms_tracking_error_m": s.rms_tracking_error_m,
         "mean_position_error_m": s.mean_position_error_m,
         "link_direction_error_deg": s.link_direction_error_deg,
+        "set_down_error_m": s.set_down_error_m,
+        "touch_down_m_s": s.touch_down_m_s,
+        "max_tension_N": s.max_tension_N,
     }
     out = []
     for name, measured in upper.items():
         limit = getattr(limits, name)
         if limit is not None:
             out.append(Criterion(name, limit, measured, measured is not None and measured <= limit))
-    if limits.min_tension_N is not None:
-        low = s.min_tension_N
-        out.append(
-            Criterion("min_tension_N", limits.min_tension_N, low, low is not None and low >= limits.min_tension_N)
-        )
+    for name, low in (("min_tension_N", s.min_tension_N), ("min_separation_m", s.min_separation_m)):
+        limit = getattr(limits, name)
+        if limit is not None:
+            out.append(Criterion(name, limit, low, low is not None and low >= limit))
     return out
 
 
@@ -116,6 +122,7 @@ def summarize(
     missed_deadlines: int,
     n: int,
     true: Followed | None = None,
+    grounded: Grounded | None = None,
 ) -> Summary:
     """The summary of a flight that ended with `outcome`; a criterion that does not hold is named in the reason.
 
@@ -151,6 +158,10 @@ def summarize(
         mean_position_error_m=None if moved is None else moved.mean_last_m,
         link_direction_error_deg=None if moved is None else moved.link_rms_deg,
         payload_attitude_error_deg=None if moved is None else moved.attitude_rms_deg,
+        set_down_error_m=None if grounded is None else grounded.set_down_error_m,
+        touch_down_m_s=None if grounded is None else grounded.touch_down_m_s,
+        max_tension_N=None if grounded is None else grounded.largest_tension_N,
+        min_separation_m=None if grounded is None else grounded.smallest_separation_m,
         thrust_scale=[
             {"scale": round(k.scale, 5), "error": round(k.error, 5)} for k in timing.thrust_scales if k.pairs > 2
         ],

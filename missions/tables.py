@@ -38,6 +38,7 @@ class PayloadTable(_Table):
     box_m: Box
     drag_area_m2: NotNegative = 0.0  # C_d A, in wind
     inertia_kg_m2: Inertia | None = None
+    downwash: Share = 0.0  # of a vehicle's thrust, that meets a load right below it
 
 
 class CableTable(_Table):
@@ -57,6 +58,14 @@ class CableTable(_Table):
         return self
 
 
+class RotorsTable(_Table):
+    """vehicle.rotors: left out, thrust and moments come at once and without limit but max_thrust_N"""
+
+    arm_m: Positive = 0.17
+    drag_torque_m: Positive = 0.02  # N m of drag per N of thrust
+    time_constant_s: NotNegative = 0.03
+
+
 Firmware = Literal["px4", "arducopter"]
 ParameterName = Annotated[str, Field(pattern=r"^[A-Z][A-Z0-9_]{0,15}$")]
 
@@ -73,6 +82,8 @@ class VehicleTable(_Table):
     firmware: Firmware = "px4"
     estimator_ready_s: NotNegative | None = None  # as the firmware takes
     parameters: dict[ParameterName, Real] = {}  # set before boot
+    rotors: RotorsTable | None = None
+    feet_m: Annotated[list[Positive], Field(min_length=2, max_length=2)] = [0.12, 0.1]  # half their distance, height
 
 
 class OneVehicleTable(_Table):
@@ -91,6 +102,7 @@ class OneVehicleTable(_Table):
     cable: CableTable | None = None
     initial_attitude_deg: Vector = [0.0, 0.0, 0.0]
     initial_link_directions: list[Vector] | None = None
+    stands_m: Annotated[list[Real], Field(min_length=2, max_length=2)] | None = None  # x, y from the load, [ground]
 
 
 class InitialTable(_Table):
@@ -157,6 +169,35 @@ class WindTable(_Table):
     gusts: bool = True  # Dryden, MIL-F-8785C
     height_m: Positive = 6.1  # above ground, for the gusts
     air_density_kg_m3: Positive = 1.225
+
+
+class GroundTable(_Table):
+    """[ground]: level; with it vehicles stand beside the load at first, and nothing is held"""
+
+    z_m: Real = 0.0
+    friction: NotNegative = 0.6
+    stand_off_m: Positive = 0.45  # from its attachment outwards, where a vehicle's stands_m is not given
+
+
+FAILURES = (
+    "rotor-out", "vehicle-out", "cable-cut", "payload-shift", "gust", "gps-loss", "low-battery", "lands", "returns",
+)  # fmt: skip
+
+
+class FailureTable(_Table):
+    """[[failures]]: what breaks, in time since the release (on the ground: since all are armed)"""
+
+    kind: Literal[
+        "rotor-out", "vehicle-out", "cable-cut", "payload-shift", "gust", "gps-loss", "low-battery", "lands", "returns"
+    ]
+    at_s: NotNegative
+    vehicle: Annotated[int, Field(ge=1)] = 1
+    rotor: Annotated[int, Field(ge=1, le=4)] = 1
+    offset_m: Vector = [0.1, 0.0, 0.0]  # payload-shift: of the centre of mass, in the load's frame
+    wind_m_s: Vector = [8.0, 0.0, 0.0]  # gust
+    lasts_s: Positive = 3.0  # gust, gps-loss
+    remaining: Share = 0.1  # low-battery
+    sag: Share = 0.15  # low-battery: of the thrust that is lost
 
 
 class SensorsTable(_Table):
@@ -237,6 +278,42 @@ class AcceptanceTable(_Table):
     rms_tracking_error_m: Positive | None = None
     mean_position_error_m: Positive | None = None  # over the last 10 s
     link_direction_error_deg: Positive | None = None  # rms, where a simulator knows them
+    set_down_error_m: Positive | None = None  # of a mission: where the load stands in the end
+    touch_down_m_s: Positive | None = None
+    max_tension_N: Positive | None = None
+    min_separation_m: Positive | None = None
+
+
+class GuardTable(_Table):
+    """[mission.guards]: a limit each; what is done beyond it, and after how long, is in docs/missions.md"""
+
+    tension_N: Positive | None = None  # left out: 0.9 of what a vehicle can pull
+    separation_m: NotNegative = 0.3
+    tilt_deg: Positive = 45.0
+    load_tilt_deg: Positive = 30.0
+    outside_fence_m: NotNegative = 0.0
+    thrust_reserve: Share = 0.05
+    state_age_s: Positive = 0.3
+    battery: Share = 0.2
+
+
+class MissionTable(_Table):
+    """[mission]: from the ground to the ground, in phases; needs [ground]"""
+
+    lift_m: Positive = 1.0
+    slack: Annotated[float, BeforeValidator(_number), Field(gt=0.3, lt=0.95)] = 0.85
+    pretension: Share = 0.7
+    lift_speed_m_s: Positive = 0.4
+    set_down_speed_m_s: Positive = 0.15
+    take_off_speed_m_s: Positive = 0.5
+    hooks: bool = True  # vehicles can let go of their cables (MAV_CMD_DO_GRIPPER)
+    protect: bool = True  # guards act, losses are answered
+    battery: Share = 0.3  # with less no vehicle is armed
+    fence_m: Annotated[list[Vector], Field(min_length=2, max_length=2)] = [[-50.0, -50.0, -30.0], [50.0, 50.0, 1.0]]
+    guards: GuardTable = GuardTable()
+    limits_s: dict[Literal[
+        "preflight", "arm", "take off", "tension", "lift", "carry", "set down", "release", "land", "disarm"
+    ], Positive] = {}  # fmt: skip
 
 
 class FaultTable(_Table):
@@ -311,6 +388,9 @@ class Scenario(_Table):
     control: ControlTable = ControlTable()
     real: RealTable = RealTable()
     wind: WindTable | None = None
+    ground: GroundTable | None = None
+    mission: MissionTable | None = None
+    failures: list[FailureTable] = []
     sensors: SensorsTable = SensorsTable()
     physics: PhysicsTable = PhysicsTable()
     link: LinkTable = LinkTable()
@@ -326,6 +406,19 @@ class Scenario(_Table):
                 f"physics.rate_hz: {self.physics.rate_hz:g} given; it must be a whole multiple of control.rate_hz "
                 f"({self.control.rate_hz:g})"
             )
+        for k, failure in enumerate(self.failures):
+            if failure.vehicle > len(self.vehicles):
+                raise ValueError(
+                    f"failures.{k}.vehicle: {failure.vehicle} given; there are {len(self.vehicles)} vehicles"
+                )
+        if self.mission is not None and self.ground is None:
+            raise ValueError("mission: it begins and ends on the ground; write [ground] as well")
+        if self.mission is not None and self.control.sensing == "vehicles":
+            raise ValueError(
+                'control.sensing: "vehicles" given; a [mission] has to see the load on the ground: full or fleet'
+            )
+        if self.ground is not None and self.mission is None:
+            raise ValueError("ground: vehicles that stand on it need a [mission] to fly")
         scales = self.real.thrust_scale
         if isinstance(scales, list) and len(scales) != len(self.vehicles):
             raise ValueError(f"real.thrust_scale: {len(scales)} given; there are {len(self.vehicles)} vehicles")

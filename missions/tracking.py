@@ -6,11 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bridge.guards import separation
 from cablequad.pilot import Sample
 from cablequad.state import Difference, State
 
 SETTLED_M = 0.05
 LAST_S = 10.0  # of the mean
+LIFTED_M, TOUCHES_M = 0.05, 0.003
 
 
 class Followed(NamedTuple):
@@ -73,3 +75,45 @@ class Following:
             math.degrees(math.sqrt(self._links / self._judged)) if judged else None,
             math.degrees(math.sqrt(self._attitude / self._judged)) if judged else None,
         )  # fmt: skip
+
+
+class Grounded(NamedTuple):
+    """What was true of a mission from the ground."""
+
+    set_down_error_m: float  # where the load stands in the end, from its target, level
+    touch_down_m_s: float | None  # its vertical speed right before it first stood again
+    largest_tension_N: float
+    smallest_separation_m: float
+    load_speed_max_m_s: float  # at any time
+
+
+class OnGround:
+    """Figures of a load that is lifted and set down, from the truth."""
+
+    def __init__(self, rest_z: float, target_m: tuple[float, float, float]) -> None:
+        self._rest_z, self._target = rest_z, target_m
+        self._lifted, self._before = False, 0.0
+        self._touch: float | None = None
+        self._tension = 0.0
+        self._separation = math.inf
+        self._speed = 0.0
+        self._last = (0.0, 0.0, 0.0)
+
+    def take(self, s: State, x: np.ndarray, tension: np.ndarray) -> None:
+        """The state, the vehicles at x (n, 3) m and the tensions (links,) N of one instant."""
+        z, down = float(s.x0[2]), float(s.v0[2])
+        self._lifted = self._lifted or z < self._rest_z - LIFTED_M
+        if self._lifted and self._touch is None and z > self._rest_z - TOUCHES_M:
+            self._touch = abs(self._before)
+        self._before = down
+        self._tension = max(self._tension, float(tension.max()))
+        self._separation = min(self._separation, separation(x))
+        self._speed = max(self._speed, math.hypot(*s.v0.tolist()))
+        self._last = tuple(s.x0.tolist())
+
+    def judged(self) -> Grounded:
+        """The figures so far."""
+        off = math.dist(self._last[:2], self._target[:2])
+        if self._last[2] < self._rest_z - LIFTED_M:  # it never came down
+            off = math.dist(self._last, self._target)
+        return Grounded(off, self._touch, self._tension, self._separation, self._speed)

@@ -1,4 +1,4 @@
-"""The world: rotors, attitude loops and cablequad's step, held still until the release."""
+"""The world: rotors, attitude loops and cablequad's step, held still until the release or standing on the ground."""
 
 import math
 from collections.abc import Sequence
@@ -6,16 +6,36 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cablequad.air import Air, fly_in_wind
+from cablequad.air import Air
 from cablequad.attitude import Airframe, Setpoint, fly
 from cablequad.dynamics import accelerations
-from cablequad.integrate import scratch
+from cablequad.ground import Ground, ground, standing
+from cablequad.integrate import Command, Scratch, scratch
 from cablequad.loose import fly_loose
+from cablequad.rotors import Rotors
 from cablequad.state import State, positions, velocities
-from cablequad.system import System
+from cablequad.system import System, cut_off, without
 from cablequad.types import Array
+from cablequad.world import AIR, GROUND, ROTORS, World, fly_in
 from sitl.firmware.autopilot import Actuation
 from sitl.wind import Wind
+
+LANDED_THRUST = 0.6  # of its weight: a vehicle that gives less, with its feet on the ground, is landing
+LANDED_S = 0.3
+CUT_REACH_M = 1.0
+ARM_M, DRAG_M = 0.17, 0.02  # of rotors that nothing is said of
+
+
+class Surroundings(NamedTuple):
+    """What a plant has around it besides the model; what is None is not there."""
+
+    air: Air | None = None
+    rotors: Rotors | None = None
+    ground_z: float | None = None  # m
+    friction: float = 0.6
+    corners: Array = np.zeros((0, 3))  # (c, 3) m, of the load
+    feet: Array = np.zeros((0, 3))  # (4, 3) m, of a vehicle
+    downwash: float = 0.0
 
 
 class Truth(NamedTuple):
@@ -45,6 +65,41 @@ def _commanded(airframe: Airframe, actuation: Sequence[Actuation]) -> Setpoint:
     return Setpoint(R_c, Omega_c, airframe.max_thrust * throttle**2, rate_only)
 
 
+class _Part:
+    """What hangs together: the load with its vehicles, or a vehicle with a cable that came off."""
+
+    def __init__(
+        self, system: System, members: list[int], airframe: Airframe, state: State, world: World, rotor_thrust: Array
+    ) -> None:
+        self.system, self.members, self.state, self.world = system, members, state, world
+        self.airframe = Airframe(*(field[members].copy() for field in airframe))
+        self.rotor_thrust = rotor_thrust[members].copy()
+        self.command = Command(np.zeros(len(members)), np.zeros((len(members), 3)))
+        self.work: Scratch = scratch(system, state)
+
+    def move(self, setpoint: Setpoint, state: State, h: float, steps: int, wind: Array | None) -> None:
+        """Advance `state` under the members' part of `setpoint`."""
+        i = self.members
+        own = Setpoint(setpoint.R_c[i], setpoint.Omega_c[i], setpoint.thrust[i], setpoint.rate_only[i])
+        if wind is None:
+            fly(self.system, self.airframe, own, state, h, steps, self.work)
+            self.command.thrust[:] = np.clip(own.thrust, 0.0, self.airframe.max_thrust)
+        else:
+            fly_in(
+                self.system, self.airframe, own, state, h, self.world, wind, self.rotor_thrust, self.command, self.work
+            )
+
+    def tension(self, thrust: Array) -> Array:
+        """(members, L) N at this instant, with `thrust` (members,) N."""
+        work = self.work.work
+        force = self.work.on_vehicles - thrust[:, None] * self.state.R[:, :, 2]
+        if work.loaded[0]:
+            a = accelerations(self.system, self.state, force, work.on_payload, work.on_nodes, work.turning)
+        else:
+            a = accelerations(self.system, self.state, force)
+        return a.tension
+
+
 class Plant:
     """n vehicles under one load."""
 
@@ -55,77 +110,222 @@ class Plant:
         initial: State,
         h: float,
         thrust_scale: Array | None = None,
-        air: Air | None = None,
+        around: Surroundings | None = None,
         wind: Wind | None = None,
     ) -> None:
-        """`thrust_scale` (n,): newtons that rotors give for one that is asked. `air` and `wind` go together."""
+        """`thrust_scale` (n,): newtons that rotors give for one that is asked. `around.air` and `wind` go together."""
         self.system = system
         self.airframe = airframe
         self.initial = initial
         self.h = h
-        self._thrust_scale = np.ones(len(system.m)) if thrust_scale is None else thrust_scale
-        self._air, self._wind = air, wind
+        self.around = self._around = around or Surroundings()
+        self.grounded = self.around.ground_z is not None
+        self._thrust_scale = np.ones(len(system.m)) if thrust_scale is None else thrust_scale.copy()
+        self._wind = wind
+        self._rotors = self.around.rotors or _instant(airframe)
+        a = self.around
+        self._plain = a.air is None and a.rotors is None and a.ground_z is None and a.downwash == 0.0
         self.reset()
-        self._work = scratch(system, self.state)
         self._warm_up()
 
     def _warm_up(self) -> None:
-        """Compile the step before a clock runs."""
+        """Compile the step before a clock runs, the part of it too that something which breaks would need."""
         n = len(self.system.m)
         self.command([Actuation(self.state.R[i], np.zeros(3), 0.0, False) for i in range(n)])
-        self._move(self.state.copy(), 1)
-        self._work = scratch(self.system, self.state)
+        still = None if self._plain else np.zeros((1, 3))
+        self._parts[0].move(self._setpoint, self.state.copy(), self.h, 1, still)
+        self.reset()
         self.specific_force(self.truth(0, *self.kinematics()))
 
     def reset(self) -> None:
-        """Back to the initial state, held."""
-        self.state = self.initial.copy()
-        self.held = True
-        self.thrust = np.zeros(len(self.system.m))
+        """Back to the initial state, held where there is no ground."""
+        n = len(self.system.m)
+        self.around = self._around
+        self.held = not self.grounded
+        self.thrust = np.zeros(n)
+        self._rotor_thrust = np.zeros((n, 4))
+        state = self.initial.copy()
+        whole = self._world(self.system, self.around.corners, list(range(n)))
+        self._parts = [_Part(self.system, list(range(n)), self.airframe, state, whole, self._rotor_thrust)]
+        self._apart: list[int] = []
+        self._offset = np.zeros(3)  # of the load's centre of mass, in its frame, from where it was
+        self._standing = [self.grounded] * n
+        self._settled_s = [0.0] * n
+
+    def _world(self, system: System, corners: Array, members: list[int]) -> World:
+        a, n = self.around, len(self.system.m)
+        none = Air(0.0, 0.0, np.zeros(n), np.zeros(self.system.length.shape))
+        air = a.air or none
+        own = Air(air.density, air.payload, air.vehicles[members].copy(), air.links[members].copy())
+        rotors = Rotors(*(np.ascontiguousarray(field[members]) for field in self._rotors))
+        z = math.inf if a.ground_z is None else a.ground_z
+        feet = a.feet if len(a.feet) else np.zeros((0, 3))
+        floor: Ground = ground(system, z, corners, feet, self.h, a.friction)
+        has = np.zeros(3)
+        has[AIR], has[ROTORS], has[GROUND] = a.air is not None, not self._plain, self.grounded
+        reach = 0.5 * float(np.linalg.norm(np.ptp(corners, axis=0))) if len(corners) else CUT_REACH_M
+        return World(own, rotors, floor, a.downwash if len(members) == n else 0.0, reach, has)
+
+    @property
+    def state(self) -> State:
+        """Where everything is, as one state; cables that came off keep their links' directions."""
+        s = self._parts[0].state
+        if not self._apart and not self._offset.any():
+            return s
+        x0 = s.x0 - s.R0 @ self._offset
+        v0 = s.v0 - s.R0 @ np.cross(s.Omega0, self._offset)
+        out = self.initial.copy()._replace(x0=x0, v0=v0, R0=s.R0.copy(), Omega0=s.Omega0.copy())
+        for part in self._parts:
+            k = part.system.length.shape[1]
+            for own, i in enumerate(part.members):
+                out.q[i, :k], out.omega[i, :k] = part.state.q[own], part.state.omega[own]
+                out.R[i], out.Omega[i] = part.state.R[own], part.state.Omega[own]
+        return out
 
     @property
     def attitudes(self) -> tuple[Array, Array]:
         """(n, 3, 3) and (n, 3) rad/s: of the vehicles."""
-        return self.state.R, self.state.Omega
+        s = self.state
+        return s.R, s.Omega
 
     def standing(self) -> list[bool]:
-        """Who stands on something."""
-        return [self.held] * len(self.system.m)
+        """Who stands on something, as a land detector says it: feet on the ground and little thrust for a while."""
+        return list(self._standing) if self.grounded else [self.held] * len(self.system.m)
 
     def command(self, actuation: Sequence[Actuation]) -> None:
         """What acts from now on."""
         asked = _commanded(self.airframe, actuation)
         self._setpoint = asked._replace(thrust=np.minimum(self._thrust_scale * asked.thrust, self.airframe.max_thrust))
-        self.thrust = self._setpoint.thrust
-
-    def _move(self, state: State, steps: int) -> None:
-        if self._air is None or self._wind is None:
-            fly(self.system, self.airframe, self._setpoint, state, self.h, steps, self._work)
-        else:
-            wind = self._wind.next(steps)
-            fly_in_wind(self.system, self.airframe, self._setpoint, state, self.h, self._air, wind, self._work)
+        if self._plain:
+            self.thrust = self._setpoint.thrust
 
     def advance(self, steps: int) -> None:
         """`steps` physics steps under what was commanded. Raises PhysicsError when the state is no longer finite."""
         if self.held:
             return
-        self._move(self.state, steps)
-        if not math.isfinite(float(self.state.x0.sum()) + float(self.state.omega.sum())):
-            raise PhysicsError("the motion is no longer finite; the vehicles and the load have flown apart")
+        wind = self._wind.next(steps) if self._wind is not None else None
+        if wind is None and not self._plain:
+            wind = np.zeros((steps, 3))
+        thrust = self.thrust.copy()
+        for part in self._parts:
+            part.move(self._setpoint, part.state, self.h, steps, wind)
+            thrust[part.members] = part.command.thrust
+            if not math.isfinite(float(part.state.x0.sum()) + float(part.state.omega.sum())):
+                raise PhysicsError("the motion is no longer finite; the vehicles and the load have flown apart")
+        if not self._plain:
+            self.thrust = thrust
+        if self.grounded:
+            self._detect_landing(steps * self.h)
+
+    def _detect_landing(self, passed_s: float) -> None:
+        for part in self._parts:
+            feet = standing(part.system, part.state, part.world.ground)
+            for own, i in enumerate(part.members):
+                idle = self.thrust[i] < LANDED_THRUST * self.system.m[i] * self.system.g
+                self._settled_s[i] = self._settled_s[i] + passed_s if feet[own] >= 2 and idle else 0.0
+                if self._settled_s[i] >= LANDED_S:
+                    self._standing[i] = True
+                elif feet[own] == 0:
+                    self._standing[i] = False
+
+    # -- what breaks ---------------------------------------------------------------------------------------------------
+
+    def set_rotor(self, i: int, rotor: int | None, works: float) -> None:
+        """Rotor `rotor` (from 0) of vehicle i, or all of them, gives this share of its thrust from now on."""
+        self._needs_world()
+        for part in self._parts:
+            if i in part.members:
+                part.world.rotors.works[part.members.index(i), slice(None) if rotor is None else rotor] = works
+
+    def weaken(self, i: int, scale: float) -> None:
+        """Vehicle i gives `scale` N per N asked from now on."""
+        self._thrust_scale[i] = scale
+
+    def cut(self, i: int) -> bool:
+        """Cable i comes off the load; whether it was on. The last cable of a load cannot come off."""
+        whole = self._parts[0]
+        if i not in whole.members or len(whole.members) == 1:
+            return False
+        own = whole.members.index(i)
+        left = [k for k in whole.members if k != i]
+        s = whole.state
+        rest = [k for k in range(len(whole.members)) if k != own]
+        rotor_thrust = self._gathered()
+        self._apart.append(i)
+        kept = State(s.x0, s.v0, s.R0, s.Omega0, *(np.ascontiguousarray(field[rest]) for field in s[4:]))
+        L = int(max(self.system.n_links[k] for k in left))
+        kept = kept._replace(q=np.ascontiguousarray(kept.q[:, :L]), omega=np.ascontiguousarray(kept.omega[:, :L]))
+        system = without(whole.system, [own])
+        works = whole.world.rotors.works
+        world = self._world(system, self.around.corners, left)
+        main = _Part(system, left, self.airframe, kept.copy(), world, rotor_thrust)
+        main.world.rotors.works[:] = works[rest]
+        free = cut_off(whole.system, own)
+        end = s.x0 + s.R0 @ whole.system.rho[own]
+        v = s.v0 + s.R0 @ np.cross(s.Omega0, whole.system.rho[own])
+        k = free.length.shape[1]
+        loose = State(
+            end, v, np.eye(3), np.zeros(3), s.q[own : own + 1, :k], s.omega[own : own + 1, :k], s.R[own : own + 1],
+            s.Omega[own : own + 1],
+        ).copy()  # fmt: skip
+        alone = _Part(free, [i], self.airframe, loose, self._world(free, np.zeros((1, 3)), [i]), rotor_thrust)
+        alone.world.rotors.works[:] = works[own]
+        self._parts = [main, *self._parts[1:], alone]
+        return True
+
+    def shift(self, offset: Array) -> None:
+        """What lies on the load slides by `offset` (3,) m in its frame: its centre of mass moves there."""
+        whole = self._parts[0]
+        s, old = whole.state, whole.system
+        rho = old.rho - offset
+        moved = old._replace(rho=np.ascontiguousarray(rho))
+        outer = np.einsum("ia,ib->iab", rho, rho)
+        steiner = np.einsum("ia,ia->i", rho, rho)[:, None, None] * np.eye(3) - outer
+        moved = moved._replace(Jbar0=old.J0 + np.einsum("i,iab->ab", old.M_iT, steiner))
+        at = s._replace(x0=s.x0 + s.R0 @ offset, v0=s.v0 + s.R0 @ np.cross(s.Omega0, offset)).copy()
+        self._offset = self._offset + offset
+        corners = self.around.corners - offset
+        self.around = self.around._replace(corners=corners)
+        works = whole.world.rotors.works
+        world = self._world(moved, corners, whole.members)
+        part = _Part(moved, whole.members, self.airframe, at, world, self._gathered())
+        part.world.rotors.works[:] = works
+        self._parts = [part, *self._parts[1:]]
+
+    def _gathered(self) -> Array:
+        out = self._rotor_thrust
+        for part in self._parts:
+            out[part.members] = part.rotor_thrust
+        return out
+
+    def _needs_world(self) -> None:
+        if self._plain:
+            raise ValueError("this plant has no rotors that could fail; give it some")
+
+    # -- what is told --------------------------------------------------------------------------------------------------
 
     def kinematics(self) -> tuple[Array, Array]:
         """(n, 3) m and (n, 3) m/s, W: where the quadrotors are and how they move."""
-        return positions(self.system, self.state)[:, 0], velocities(self.system, self.state)[:, 0]
+        if not self._apart:
+            whole = self._parts[0]
+            return positions(whole.system, whole.state)[:, 0], velocities(whole.system, whole.state)[:, 0]
+        n = len(self.system.m)
+        x, v = np.empty((n, 3)), np.empty((n, 3))
+        for part in self._parts:
+            x[part.members] = positions(part.system, part.state)[:, 0]
+            v[part.members] = velocities(part.system, part.state)[:, 0]
+        return x, v
 
     def truth(self, boot_us: int, x: Array, v: Array) -> Truth:
         """Everything, in arrays of its own; tensions are those of this instant under what is commanded from it on."""
-        s, work = self.state.copy(), self._work.work
-        force = self._work.on_vehicles - self.thrust[:, None] * s.R[:, :, 2]
-        if work.loaded[0]:
-            tension = accelerations(self.system, s, force, work.on_payload, work.on_nodes).tension
+        if not self._apart:
+            tension = self._parts[0].tension(self.thrust)
         else:
-            tension = accelerations(self.system, s, force).tension
-        return Truth(boot_us, self.held, s, x, v, tension, self.thrust)
+            tension = np.zeros(self.system.length.shape)
+            for part in self._parts:
+                own = part.tension(self.thrust[part.members])
+                tension[part.members, : own.shape[1]] = own
+        return Truth(boot_us, self.held, self.state.copy(), x, v, tension, self.thrust)
 
     def specific_force(self, truth: Truth) -> Array:
         """(n, 3) m/s^2, body frames: what each vehicle's accelerometer reads; the support carries it while held."""
@@ -134,9 +334,17 @@ class Plant:
             support = np.array([0.0, 0.0, -self.system.g])
             return np.einsum("iba,b->ia", s.R, support)
         pull = truth.tension[:, 0, None] * s.q[:, 0]
-        blown = self._work.on_vehicles
-        world = (pull + blown - truth.thrust[:, None] * s.R[:, :, 2]) / self.system.m[:, None]
+        pushed = np.empty((len(self.system.m), 3))
+        for part in self._parts:
+            pushed[part.members] = part.work.on_vehicles
+        world = (pull + pushed - truth.thrust[:, None] * s.R[:, :, 2]) / self.system.m[:, None]
         return np.einsum("iba,ib->ia", s.R, world)
+
+
+def _instant(airframe: Airframe) -> Rotors:
+    """Rotors that give at once what is asked, within their limits."""
+    n = len(airframe.max_thrust)
+    return Rotors(np.full(n, ARM_M), np.full(n, DRAG_M), np.zeros(n), airframe.max_thrust / 4.0, np.ones((n, 4)))
 
 
 class LoosePlant:

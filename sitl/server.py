@@ -16,7 +16,6 @@ from bridge.wire.frames import Packed, Signer
 from bridge.wire.messages import encode
 from bridge.wire.telemetry import BUILD, Home, Snapshot
 from bridge.wire.values import IN_AIR, ON_GROUND, AttitudeTarget, Timesync
-from cablequad.air import Air
 from cablequad.attitude import Airframe
 from cablequad.noise import Noise
 from cablequad.state import State
@@ -27,7 +26,7 @@ from sitl.firmware.arducopter import ArduCopter
 from sitl.firmware.autopilot import ATTITUDE_QUATERNION, HIGHRES_IMU, Autopilot, Body
 from sitl.firmware.px4 import Px4
 from sitl.places import places, tracker_endpoints
-from sitl.plant import LoosePlant, Plant, Truth
+from sitl.plant import LoosePlant, Plant, Surroundings, Truth
 from sitl.sensors import Sensors
 from sitl.wind import Weather, Wind
 
@@ -65,7 +64,7 @@ class Settings(NamedTuple):
     signing_key: bytes | None = None
     accept_unsigned_telemetry: bool = False
     thrust_scale: tuple[float, ...] = ()  # N that each vehicle's rotors give for one that is asked; 1 where not said
-    air: Air | None = None
+    around: Surroundings = Surroundings()
     weather: Weather | None = None
     noise: Noise = Noise()
 
@@ -110,7 +109,7 @@ def _plant(s: Settings) -> Plant | LoosePlant:
         return LoosePlant(s.system, s.airframe, s.initial, h)
     wind = Wind(s.weather, h, own_generator(s.seed, "wind")) if s.weather is not None else None
     scale = np.array(s.thrust_scale) if s.thrust_scale else None
-    return Plant(s.system, s.airframe, s.initial, h, scale, s.air, wind)
+    return Plant(s.system, s.airframe, s.initial, h, scale, s.around, wind)
 
 
 class Server:
@@ -148,6 +147,7 @@ class Server:
         self._awaits_controller = s.lockstep and s.await_controller and not s.loose
         self._seen_us = -1
         self._releasing = False
+        self._released_us: int | None = None
         self._truth: Truth | None = None  # of the coming tick
         self._own: list[Snapshot] = []
         self._missed_answers = 0
@@ -289,16 +289,28 @@ class Server:
         if plant.held and self._releasing:
             plant.held = self._releasing = False
             self._sink(Event(now, "release", "all", "every vehicle is armed and under command: released"))
-            for channel in (*self._channels, *self._down):
-                if channel is not None:
-                    channel.released_us = now
+            self._released(now)
         elif plant.held:
             self._releasing = all(v.carries(now) for v in self.vehicles)
+        elif isinstance(plant, Plant) and plant.grounded:
+            self._begin_on_ground(now)
         elif isinstance(plant, Plant) and not any(v.armed for v in self.vehicles):
             plant.reset()
             self._sink(Event(now, "reset", "all", "every vehicle is disarmed: back to the initial state, held"))
         for vehicle, stands in zip(self.vehicles, plant.standing(), strict=True):
             vehicle.set_landed(ON_GROUND if stands and not self._releasing else IN_AIR)
+
+    def _begin_on_ground(self, now: int) -> None:
+        """Where nothing is held the time of faults and failures begins once all are armed."""
+        if self._released_us is None and all(v.armed for v in self.vehicles):
+            self._sink(Event(now, "release", "all", "every vehicle is armed, on the ground"))
+            self._released(now)
+
+    def _released(self, now: int) -> None:
+        self._released_us = now
+        for channel in (*self._channels, *self._down):
+            if channel is not None:
+                channel.released_us = now
 
     def _speak(self, i: int, vehicle: Autopilot, snapshot: Snapshot) -> None:
         audible = self._audible(i)

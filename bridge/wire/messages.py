@@ -11,12 +11,14 @@ from bridge.wire.dialect import CABLE_STATE, Message, mavlink
 from bridge.wire.frames import Packed, frame, pack, packed, payload_of, unpack
 from bridge.wire.values import (
     AttitudeTarget,
+    Battery,
     CableShape,
     Command,
     CommandAck,
     DataStream,
     FileRefusal,
     FileRequest,
+    GpsFix,
     Heartbeat,
     Imu,
     LandedState,
@@ -256,6 +258,14 @@ def _read_landed(m: Message) -> LandedState:
     return LandedState(m.landed_state)
 
 
+def _read_battery(m: Message) -> Battery:
+    return Battery(m.battery_remaining / 100)
+
+
+def _read_fix(m: Message) -> GpsFix:
+    return GpsFix(m.fix_type)
+
+
 def _mission_list(v: MissionRequestList) -> Message:
     return mavlink.MAVLink_mission_request_list_message(v.system, v.component, v.type)
 
@@ -377,6 +387,8 @@ _DECODE |= {
     mavlink.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL: _read_file,
     mavlink.MAVLINK_MSG_ID_REQUEST_DATA_STREAM: _read_data_stream,
     mavlink.MAVLINK_MSG_ID_HIGHRES_IMU: _read_imu,
+    mavlink.MAVLINK_MSG_ID_SYS_STATUS: _read_battery,
+    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: _read_fix,
 }  # one direction only, or not the same value in both
 READABLE = frozenset(_DECODE) | frozenset(_DECODE_HOT)
 _codec = mavlink.MAVLink(None)

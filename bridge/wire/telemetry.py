@@ -44,6 +44,8 @@ class Snapshot(NamedTuple):
     offboard_target: tuple[Array, Array, float]  # commanded R_c (3, 3), rates (3,) rad/s, thrust 0..1
     home: Home
     home_x: Array = ORIGIN  # (3,) m, W: where it was armed, and returns to
+    battery: float = 1.0  # 0 .. 1: what is left
+    gps_fix: int = 3  # GPS_FIX_TYPE
 
     @property
     def boot_ms(self) -> int:
@@ -145,7 +147,11 @@ def _gps(s: Snapshot) -> Message:
     lat, lon, alt = _geodetic(s, s.x)
     speed = math.hypot(s.v[0], s.v[1])
     course = round(math.degrees(math.atan2(s.v[1], s.v[0])) * 100) % 36000 if speed > 0.1 else _NO_FIELD
-    return mavlink.MAVLink_gps_raw_int_message(s.boot_us, 3, lat, lon, alt, 70, 110, round(speed * 100), course, 12)
+    good = s.gps_fix >= 3
+    eph, epv, seen = (70, 110, 12) if good else (_NO_FIELD, _NO_FIELD, 0)
+    return mavlink.MAVLink_gps_raw_int_message(
+        s.boot_us, s.gps_fix, lat, lon, alt, eph, epv, round(speed * 100), course, seen
+    )
 
 
 _SENSORS = (
@@ -162,8 +168,15 @@ _SENSORS = (
 
 
 def _sys_status(s: Snapshot) -> Message:
-    del s
-    return mavlink.MAVLink_sys_status_message(_SENSORS, _SENSORS, _SENSORS, 150, 16200, 100, 100, 0, 0, 0, 0, 0, 0)
+    volts, left = _volts(s), round(100 * s.battery)
+    return mavlink.MAVLink_sys_status_message(
+        _SENSORS, _SENSORS, _SENSORS, 150, round(4000 * volts), 100, left, 0, 0, 0, 0, 0, 0
+    )
+
+
+def _volts(s: Snapshot) -> float:
+    """V of a lithium cell at rest, between 3.5 V empty and 4.05 V full."""
+    return 3.5 + 0.55 * s.battery
 
 
 def _landed(s: Snapshot) -> Packed:
@@ -179,9 +192,8 @@ def _estimator(s: Snapshot) -> Message:
 
 
 def _battery(s: Snapshot) -> Message:
-    del s
-    cells = [4050] * 4 + [_NO_FIELD] * 6
-    return mavlink.MAVLink_battery_status_message(0, 0, 1, 2500, cells, 100, 0, -1, 100)
+    cells = [round(1000 * _volts(s))] * 4 + [_NO_FIELD] * 6
+    return mavlink.MAVLink_battery_status_message(0, 0, 1, 2500, cells, 100, 0, -1, round(100 * s.battery))
 
 
 def _home(s: Snapshot) -> Message:

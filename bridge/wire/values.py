@@ -164,6 +164,18 @@ class LandedState(NamedTuple):
     landed: int
 
 
+class Battery(NamedTuple):
+    """SYS_STATUS (#1), as far as it is used."""
+
+    remaining: float  # 0 .. 1; below 0 where the vehicle does not know
+
+
+class GpsFix(NamedTuple):
+    """GPS_RAW_INT (#24), as far as it is used."""
+
+    fix: int  # 3: 3D
+
+
 class MissionRequestList(NamedTuple):
     """MISSION_REQUEST_LIST (#43)."""
 

@@ -37,11 +37,10 @@ class Streams:
         return [msgid for msgid, at in self._next.items() if at <= now_us]
 
     def due(self, now_us: int) -> list[int]:
-        """Message ids to send at this tick, in the order of their ids."""
+        """Message ids to send at this tick, in the order of their ids; streams of one rate keep the same time."""
         out = self.coming(now_us)
         for msgid in out:
             interval = self._interval[msgid]
-            ahead = self._next[msgid] + interval
-            self._next[msgid] = ahead if ahead > now_us else now_us + interval
+            self._next[msgid] = interval * (now_us // interval + 1)
         out.sort()
         return out

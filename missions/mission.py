@@ -1,0 +1,138 @@
+"""A scenario's [mission] as the bridge takes it: plan, designs for every vehicle that may be lost, the usual script."""
+
+import math
+
+import numpy as np
+
+from bridge.fleet import Fleet
+from bridge.guards import Guard
+from bridge.mission import Mission, MissionPlan, Script
+from bridge.phases import ORDER, RULES, Phase
+from cablequad.attitude import Airframe
+from cablequad.design import Design, DesignError, sampled_law
+from cablequad.estimate import Filter, observer
+from cablequad.linear import EquilibriumError, equilibrium
+from cablequad.noise import Noise
+from cablequad.state import positions
+from cablequad.system import without
+from cablequad.trajectory import Trajectory
+from missions import scenario as scenarios
+from missions.scenario import Flight
+
+PULL = 0.9  # of a vehicle's greatest thrust: the most that a cable may bear where nothing is said
+
+
+async def usual(mission: Mission) -> None:
+    """Every phase after the other."""
+    for phase in ORDER:
+        await mission.begin(phase)
+
+
+def rest_z(flight: Flight) -> float | None:
+    """m: the load's z where it stands on the ground; None without ground."""
+    s = flight.scenario
+    return None if s.ground is None else float(flight.initial.x0[2])
+
+
+def contingencies(flight: Flight, design: Design) -> tuple[dict[frozenset[int], Design], dict[frozenset[int], Filter]]:
+    """Designs and filters by the vehicles lost, each at most one; who cannot be spared is not among them."""
+    designs: dict[frozenset[int], Design] = {frozenset(): design}
+    filters: dict[frozenset[int], Filter] = {}
+    whole, s = flight.system, flight.scenario
+    n = len(whole.m)
+    if n == 1 or s.mission is None or not s.mission.protect:
+        return designs, filters
+    blurred = not (s.control.sensing == "full" and scenarios.noise(flight) == Noise())
+    period = flight.control_us * 1e-6
+    for i in range(n):
+        rest = [k for k in range(n) if k != i]
+        system = without(whole, [i])
+        air = Airframe(*(np.ascontiguousarray(field[rest]) for field in flight.airframe))
+        try:
+            designs[frozenset({i})] = sampled_law(system, air, scenarios.weights(flight), period, s.control.delay_ticks)
+            if blurred:
+                filters[frozenset({i})] = observer(
+                    system, air, period, s.control.sensing, scenarios.noise(flight)
+                ).filter
+        except (DesignError, EquilibriumError, np.linalg.LinAlgError, ValueError):
+            designs[frozenset({i})] = bare_design(design, rest)
+    return designs, filters
+
+
+def bare_design(design: Design, rest: list[int]) -> Design:
+    """What is needed to fly the vehicles `rest` each by itself, where no law carries the load with them."""
+    n = len(design.system.m)
+    lost = [k for k in range(n) if k not in rest]
+    system = without(design.system, lost)
+    air = Airframe(*(np.ascontiguousarray(field[rest]) for field in design.airframe))
+    rows = [3 * k + a for k in rest for a in range(3)]
+    D = 6 + 2 * int(system.n_links.sum())
+    m = len(rest)
+    u = np.zeros((m, 3))
+    u[:, 2] = -system.m * system.g
+    hanging = design.hanging
+    L = system.length.shape[1]
+    return design._replace(
+        system=system, airframe=air, u_star=u,
+        K_x=np.zeros((len(rows), D)), K_xdot=np.zeros((len(rows), D)), K_phi=np.zeros((len(rows), 2 * m)),
+        K_phidot=np.zeros((len(rows), 2 * m)), K_way=np.zeros((len(rows), len(rows) * design.delay)),
+        K_lasting=np.zeros((len(rows), 6)), b1=design.b1[rest].copy(),
+        hanging=hanging._replace(
+            q=hanging.q[rest, :L].copy(), omega=hanging.omega[rest, :L].copy(), R=hanging.R[rest].copy(),
+            Omega=hanging.Omega[rest].copy(),
+        ),
+        authority=design.authority._replace(
+            least=design.authority.least[rest].copy(), most=design.authority.most[rest].copy()
+        ),
+    )  # fmt: skip
+
+
+def plan_of(flight: Flight) -> MissionPlan:
+    """The mission plan of a flight with [mission]."""
+    s = flight.scenario
+    m, ground = s.mission, s.ground
+    assert m is not None
+    assert ground is not None
+    x0, R0 = flight.initial.x0, flight.initial.R0
+    stands = (positions(flight.system, flight.initial)[:, 0] - x0) @ R0
+    try:
+        hangs = equilibrium(flight.system).R0
+    except EquilibriumError:
+        hangs = np.eye(3)
+    rest = float(x0[2])
+    lifted = rest - m.lift_m
+
+    def route(start: list[float], end: list[float]) -> Trajectory:
+        return scenarios.route(s, start, end)
+
+    target = [*s.target.position_m[:2], lifted, math.radians(s.target.yaw_deg)]
+    limits = {phase: m.limits_s.get(phase.value, RULES[phase].limit_s) for phase in Phase}
+    return MissionPlan(
+        rest, stands, hangs, target, route, m.lift_m, m.slack, m.pretension, m.lift_speed_m_s, m.set_down_speed_m_s,
+        m.take_off_speed_m_s, limits, guards(flight), np.array(m.fence_m), m.battery, m.hooks, m.protect,
+    )  # fmt: skip
+
+
+def guards(flight: Flight) -> tuple[Guard, ...]:
+    """The guards of a mission, each with what is done where it is broken."""
+    m = flight.scenario.mission
+    assert m is not None
+    g = m.guards
+    weight = flight.system.m * flight.system.g
+    tension = g.tension_N if g.tension_N is not None else PULL * float((flight.airframe.max_thrust - weight).min())
+    return (
+        Guard("tension_N", tension, "set-down", 0.2),
+        Guard("separation_m", g.separation_m, "set-down", 0.1),
+        Guard("tilt_deg", g.tilt_deg, "pause", 0.3),
+        Guard("load_tilt_deg", g.load_tilt_deg, "set-down", 1.0),
+        Guard("outside_fence_m", g.outside_fence_m, "set-down", 0.2),
+        Guard("thrust_reserve", g.thrust_reserve, "pause", 0.3),
+        Guard("state_age_s", g.state_age_s, "pause", 0.0),
+        Guard("battery", g.battery, "set-down", 1.0),
+    )
+
+
+def mission_of(flight: Flight, fleet: Fleet, design: Design, script: Script = usual) -> Mission:
+    """The mission of a flight, ready to be flown."""
+    designs, filters = contingencies(flight, design)
+    return Mission(plan_of(flight), fleet, designs, filters, flight.control_us * 1e-6, script)
