@@ -6,12 +6,13 @@ import numpy as np
 
 from bridge.mission import Mission, expanded
 from bridge.observe import Instant, Loop, Observer
-from bridge.phases import LOADED
 from bridge.wire.values import CableShape, VehiclePosition
 from cablequad.attitude import Airframe
 from cablequad.design import Design
 from cablequad.pilot import Sample
 from cablequad.state import positions
+
+OLD_S = 0.2  # a vehicle's word of where it is
 
 
 class Decider:
@@ -21,8 +22,10 @@ class Decider:
         self.mission = mission
         self._loop, self._whole = loop, design
         self.observer = Observer(loop)
-        self.observer.slack(True)
-        self._slack = True
+        self._slack = not mission.plan.airborne
+        if self._slack:
+            self.observer.slack(True)
+        self._begun = False
         self._members = list(mission.members)
 
     def feed(self, source: int, value: Any) -> None:
@@ -42,7 +45,8 @@ class Decider:
 
     def answer(self, t: float, now: float, instant: Instant) -> Sample:
         """The decision for `instant`, of the vehicles that were not lost before it."""
-        astray = [own for own, k in enumerate(self._members) if self._astray(k)]
+        old = instant.x_age_s > OLD_S
+        astray = [own for own, k in enumerate(self._members) if self._astray(k) or (old[own] and not self._slack)]
         if astray:  # where its cable says it is
             x = instant.x.copy()
             x[astray] = positions(self.mission.design.system, instant.state)[astray, 0]
@@ -51,9 +55,9 @@ class Decider:
         if self.mission.members != self._members:
             self._regroup()
         m = self.mission
-        slack = m.phase not in LOADED or m.by_itself
-        if slack != self._slack:
-            self._slack = slack
+        slack = not m.hanging
+        if slack != self._slack or (m.released and not self._begun):
+            self._slack, self._begun = slack, m.released
             self.observer.slack(slack)
         return sample
 

@@ -42,6 +42,7 @@ POSITION_GAP_M = 0.5  # a vehicle further than this from where its cable puts it
 
 REBOOT_MS = 1000  # a vehicle's clock that goes back by more has begun anew
 LOST_TWICE = 2
+RETURNS_S = 1.5  # a vehicle that its failsafe took may come back when it hears us again
 FORCE = 21196.0  # of a disarming in flight
 FIX_3D = 3
 THRUST_NOT_CLIMB = 8  # in ArduCopter's GUID_OPTIONS
@@ -165,8 +166,9 @@ class _Vehicle:
         }.get(self.stage, "")
 
     def gives_up_s(self) -> float:
-        """How long the stage waits."""
-        return self.profile.arming_s if self.profile is not None and self.stage is Stage.ARM else GIVE_UP_S
+        """How long the stage waits: what needs a position, as long as its estimator may take."""
+        patient = self.stage in (Stage.SETPOINTS, Stage.ARM)
+        return self.profile.arming_s if self.profile is not None and patient else GIVE_UP_S
 
 
 class Fleet:
@@ -179,8 +181,11 @@ class Fleet:
         configure: bool = False,
         sensing: Sensing = "full",
         grounded: bool = False,
+        airborne: bool = False,
     ) -> None:
-        """`grounded`: a mission from the ground, which says when to arm, and begins when all are.
+        """`grounded`: a mission, which says when to arm and may go on without a vehicle; it begins when all are armed
+
+        or, where it begins `airborne`, when all carry themselves.
 
         `configure`: parameters that a vehicle needs to be flown are set, not only asked for.
 
@@ -196,9 +201,9 @@ class Fleet:
         self._answers: list[Request] = []
         period_us = round(period_s * 1e6)
         self._intervals_us = {msgid: asked or period_us for msgid, asked in STREAMS_US.items()}
-        self._grounded = grounded
+        self._grounded, self._air_start = grounded, airborne or not grounded
         self.may_arm = not grounded
-        self.departed: dict[int, str] = {}  # vehicles (from 0) that no longer do what they are told, and why
+        self.departed: dict[int, tuple[float, str]] = {}  # vehicles (from 0) that do something else: when to act, why
         self.astray: set[int] = set()  # vehicles (from 0) that do not know where they are
         self._lost: set[int] = set()
         if sensing != "full" or grounded:
@@ -290,7 +295,7 @@ class Fleet:
                 self._answers.append(Request(source, Timesync(round(now * 1e9), value.ts1)))
             case LandedState():
                 v.landed = value.landed
-                if not self._grounded and self.released_at is None and self._all_in_air():
+                if self._air_start and self.released_at is None and self._all_in_air():
                     self.released_at = now
             case Battery():
                 v.battery = value.remaining if value.remaining >= 0.0 else v.battery
@@ -361,10 +366,10 @@ class Fleet:
         if self.failure is None:
             self.failure = text
 
-    def _depart(self, v: _Vehicle, text: str) -> None:
+    def _depart(self, v: _Vehicle, text: str, now: float, patience_s: float = 0.0) -> None:
         """A mission may go on without a vehicle that does something else; any other flight ends."""
         if self._grounded:
-            self.departed.setdefault(v.system - 1, text)
+            self.departed.setdefault(v.system - 1, (now + patience_s, text))
         else:
             self._fail(f"vehicle {v.system} {text}")
 
@@ -385,10 +390,12 @@ class Fleet:
             pass
         elif v.stage is Stage.FLY and not beat.armed and self.released_at is None and v.landed != IN_AIR:
             self._enter(v, Stage.ARM, now)  # idle for too long while others got ready
+        elif v.stage is Stage.FLY and beat.armed and beat.custom_mode == v.profile.control[1]:
+            self.departed.pop(v.system - 1, None)
         elif v.stage is Stage.FLY and not beat.armed:
-            self._depart(v, f"disarmed in flight{_because(v)}")
+            self._depart(v, f"disarmed in flight{_because(v)}", now)
         elif v.stage is Stage.FLY and beat.custom_mode != v.profile.control[1]:
-            self._depart(v, f"left {v.profile.control[0]}{_because(v)}")
+            self._depart(v, f"left {v.profile.control[0]}{_because(v)}", now, RETURNS_S)
 
     def _parameter(self, v: _Vehicle, value: ParamValue) -> None:
         number = value.value
@@ -461,7 +468,7 @@ class Fleet:
             v.since = now  # its own part is done; it waits for the others
             return
         self._enter(v, following, now)
-        if self._grounded and self.released_at is None and all(u.stage is Stage.FLY for u in self._vehicles):
+        if not self._air_start and self.released_at is None and all(u.stage is Stage.FLY for u in self._vehicles):
             self.released_at = now
 
     def _watch(self, v: _Vehicle, now: float) -> None:
@@ -471,7 +478,7 @@ class Fleet:
             if v.stage in (Stage.HOLD, Stage.DISARM):
                 v.stage = Stage.DONE
         if v.stage > Stage.HEARTBEAT and v.stage is not Stage.DONE and now - v.heard_at > SILENT_S:
-            self._depart(v, f"is silent since t = {v.heard_at:.2f} s of its clock")
+            self._depart(v, f"is silent since t = {v.heard_at:.2f} s of its clock", now)
             if v.stage in (Stage.HOLD, Stage.DISARM):
                 v.stage = Stage.DONE
 

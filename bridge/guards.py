@@ -28,11 +28,12 @@ class Reading(NamedTuple):
     tension: Array  # (n,) N
     reserve: float  # share of the greatest thrust that nobody uses
     age_s: float
+    off_plan_m: float  # of the load, from its reference
     battery: float  # 0 .. 1, the emptiest
     fence: Array  # (2, 3) m: lowest and highest corner
 
 
-UPPER = frozenset({"tension_N", "tilt_deg", "load_tilt_deg", "outside_fence_m", "state_age_s"})
+UPPER = frozenset({"tension_N", "tilt_deg", "load_tilt_deg", "outside_fence_m", "state_age_s", "off_plan_m"})
 
 
 def readings(r: Reading) -> dict[str, float]:
@@ -46,6 +47,7 @@ def readings(r: Reading) -> dict[str, float]:
         "outside_fence_m": float(max(outside)),
         "thrust_reserve": r.reserve,
         "state_age_s": r.age_s,
+        "off_plan_m": r.off_plan_m,
         "battery": r.battery,
     }
 

@@ -37,6 +37,7 @@ STANDS_M_S, PUSHED_M = 0.05, 0.05
 PAUSE_S = 1.0
 NO_FOLLOW_RAD, NO_FOLLOW_S = 0.7, 0.2
 SAGGED, CUT, CUT_M, GONE_S = 0.75, 1.06, 0.1, 0.06  # of a cable's length
+FRESH_S = 0.15  # old is a vehicle's word of where it is
 CARRIES = 0.05  # of a vehicle's weight: the least that a cable must bear for a fleet that goes on
 EMERGENCY_M_S = 0.4
 
@@ -61,6 +62,8 @@ class MissionPlan(NamedTuple):
     battery: float  # 0 .. 1: with less no vehicle is armed
     hooks: bool  # a vehicle can let go of its cable (MAV_CMD_DO_GRIPPER)
     protect: bool  # False: whatever happens, carry on as planned
+    airborne: bool  # begins with a load that hangs
+    hold_s: float  # how long it hangs still before it is carried
 
 
 class Log(Protocol):
@@ -256,9 +259,8 @@ class Mission:
             case Phase.LIFT:
                 self._memory = first_memory(self.design)
                 start = self._pose()
-                self._track = leg(
-                    start, [*start[:2], start[2] - self.plan.lift_m, start[3]], self._slow(self.plan.lift_speed)
-                )
+                lift = 0.0 if self.plan.airborne else self.plan.lift_m
+                self._track = leg(start, [*start[:2], start[2] - lift, start[3]], self._slow(self.plan.lift_speed))
             case Phase.CARRY:
                 start = led
                 end = to if to is not None else [*self.plan.target[:2], start[2], self.plan.target[3]]
@@ -347,9 +349,9 @@ class Mission:
         far = np.linalg.norm(i.x - self._ends(), axis=1)
         out += [
             f"vehicle {k + 1} is {far[k]:.2f} m from its end of the cable, which is {self.loaded_length[k]:.2f} m long"
-            for k in np.flatnonzero(far > self.loaded_length).tolist()
+            for k in np.flatnonzero(far > self.loaded_length + NEAR_M).tolist()
         ]
-        if abs(float(i.state.x0[2]) - self.plan.rest_z) > NEAR_M:
+        if not self.plan.airborne and abs(float(i.state.x0[2]) - self.plan.rest_z) > NEAR_M:
             out.append(f"the load is at z = {i.state.x0[2]:.2f} m, not on the ground ({self.plan.rest_z:.2f} m)")
         out += [
             f"vehicle {k + 1} has {100 * level:.0f} % of its battery, {100 * self.plan.battery:.0f} % is needed"
@@ -359,14 +361,34 @@ class Mission:
         out += self.fleet.not_ready()
         return out
 
+    @property
+    def hanging(self) -> bool:
+        """Whether the load hangs from vehicles that carry it together."""
+        before = self.plan.airborne and self.phase in (None, Phase.PREFLIGHT, Phase.ARM)
+        return (before or self.phase in LOADED) and not self.by_itself
+
+    @property
+    def _on_plan(self) -> bool:
+        """Whether the load is to be where the reference is; when it is set down it is led into the ground."""
+        return self.phase in (Phase.LIFT, Phase.CARRY)
+
+    @property
+    def released(self) -> bool:
+        """Whether anything moves yet."""
+        return self.fleet.released_at is not None
+
     # -- control -------------------------------------------------------------------------------------------------------
 
     def _fly(self, t: float, i: Instant) -> Sample:
-        loaded = self.phase in LOADED and not self.by_itself
-        reference = self._reference() if loaded else self._at_rest(i)
+        loaded = self.hanging
+        flown = loaded and self.released
+        reference = self._reference() if loaded and self.phase in LOADED else self._at_rest(i)
         memory = self._memory
-        after, sample = tick(memory, Measurement(t, i.state, held=not loaded), reference, self.design)
+        after, sample = tick(memory, Measurement(t, i.state, held=not flown), reference, self.design)
         if loaded:
+            if not math.isfinite(float(sample.A.sum()) + float(sample.f.sum()) + float(sample.R_c.sum())):
+                sample = self._as_before(sample)  # what moves is not what is modelled
+                after = first_memory(self.design)
             self._memory = after
             self._R_before = sample.R_c
         else:
@@ -377,6 +399,20 @@ class Mission:
             self._R_before = each.R_c
             sample = sample._replace(A=each.A, R_c=each.R_c, f=each.f, Psi=each.Psi)
         return sample
+
+    def _as_before(self, sample: Sample) -> Sample:
+        """A decision that came to nothing finite is not sent; the last one stands."""
+        before = self._last
+        n = len(self.members)
+        fresh = first_memory(self.design)
+        if before is None:
+            hover = self.design.system.m * self.design.system.g
+            A = np.column_stack([np.zeros((n, 2)), -hover])
+            blank = sample._replace(A=A, R_c=np.tile(np.eye(3), (n, 1, 1)), f=hover, Psi=np.zeros(n))
+        else:
+            blank = sample._replace(A=before.A, R_c=before.R_c, f=before.f, Psi=before.Psi)
+        error = Error(np.nan_to_num(sample.error.x), np.nan_to_num(sample.error.x_dot))
+        return blank._replace(memory=fresh, error=error, e_q=0.0, e_omega=0.0, Psi_0=0.0)
 
     def _reference(self) -> Reference:
         r, k = at(self._track, self._tau), self._rate
@@ -528,9 +564,11 @@ class Mission:
         self.smallest_separation_m = min(self.smallest_separation_m, separation(i.x))
         reserve = 1.0 if self._last is None else float((1.0 - self._last.f / self.design.airframe.max_thrust).min())
         batteries = [self.fleet.batteries[k] for k in self.members]
+        off = math.dist(i.state.x0.tolist(), self._reference().x0.tolist()) if self._on_plan else 0.0
         reading = Reading(
-            i.x, i.state.R, i.state.x0, i.state.R0, tension, reserve, i.age_ms * 1e-3, min(batteries), self.plan.fence
-        )
+            i.x, i.state.R, i.state.x0, i.state.R0, tension, reserve, i.age_ms * 1e-3, off, min(batteries),
+            self.plan.fence,
+        )  # fmt: skip
         broken, healed = self._watch.look(self.now, readings(reading))
         for b in broken:
             action = b.guard.action if self.plan.protect else "warn"
@@ -550,9 +588,10 @@ class Mission:
         far = np.linalg.norm(i.x - self._ends(), axis=1)
         sag = self._ends()[:, 2] - i.x[:, 2]
         for own, k in enumerate(list(self.members)):
-            why = self.fleet.departed.get(k, "")
+            act_at, why = self.fleet.departed.get(k, (self.now, ""))
             wait = 0.0
-            trusted = k not in self.fleet.astray
+            why = why if self.now >= act_at else ""
+            trusted = k not in self.fleet.astray and i.x_age_s[own] < FRESH_S
             if not why and trusted and far[own] > CUT * self.loaded_length[own] + CUT_M:
                 why, wait = f"it is {far[own]:.2f} m from the load: its cable is off", GONE_S
             elif not why and trusted and sag[own] < SAGGED * self.loaded_length[own] and not self.by_itself:
@@ -596,6 +635,7 @@ class Mission:
         self._heard = self._here._replace(
             x=x,
             v=self._here.v[rest],
+            x_age_s=self._here.x_age_s[rest],
             tension=self._here.tension[rest],
             state=_of(self._here.state, rest, design),
         )

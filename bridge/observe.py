@@ -60,6 +60,7 @@ class Instant(NamedTuple):
     position_gap: Array  # (n,) m between a vehicle's own position and where its cable puts it; NaN where not said
     x: Array  # (n, 3) m, W: where vehicles say they are, carried on at the speed they say; NaN before the first word
     v: Array  # (n, 3) m/s, W
+    x_age_s: Array  # (n,) s, how old that word is
     age_ms: int  # of the newest measurement that the oldest part rests on; 0 where all is measured
 
 
@@ -204,9 +205,8 @@ class Observer:
                 for i, said in parts.positions.items():
                     gap[i] = math.dist(said.x.tolist(), hung[i, 0].tolist())
         since = np.maximum(boot_ms - np.array(self._told_ms), 0)[:, None] * 1e-3
-        return Instant(
-            boot_ms, state, self._tension, gap, self._told_x + since * self._told_v, self._told_v.copy(), age
-        )
+        x = self._told_x + since * self._told_v
+        return Instant(boot_ms, state, self._tension, gap, x, self._told_v.copy(), since[:, 0], age)
 
     def known(self, boot_ms: int) -> tuple[State, Array] | None:
         """The state and the tensions (n,) N of an instant that was measured whole."""
@@ -277,10 +277,10 @@ class Observer:
         Where cables are slack little moves: what this stamp does not tell is as it was told last.
         """
         seen = self._seen(parts)
-        if self._slack:
-            load = self._told_load
-            if load is None:
-                return None
+        load = self._told_load
+        if self._slack and load is None:
+            return None
+        if load is not None:
             if parts.payload is None:
                 seen = seen._replace(x0=load.x0, v0=load.v0, R0=load.R0, Omega0=load.Omega0)
             for i in range(self._n):
@@ -347,6 +347,8 @@ class Observer:
         if self._slack:
             return self._lying(filter, parts) or belief
         after = corrected(filter, belief, self._seen(parts))
+        if not math.isfinite(float(after.state.omega.sum()) + float(after.state.v0.sum()) + float(after.force.sum())):
+            return self._lying(filter, parts) or self._known[min(self._known)][0]  # what moves is not what is modelled
         if self._moving:
             return after
         s = after.state  # what is held does not move

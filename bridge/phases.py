@@ -39,7 +39,7 @@ RULES: dict[Phase, Rule] = {
         frozenset({P.TAKE_OFF, P.RELEASE}), 20.0, "all hover on slack cables",
         "every cable is straight and bears its share",
     ),
-    P.LIFT: Rule(frozenset({P.TENSION}), 30.0, "every cable is straight", "the load hangs still at its height"),
+    P.LIFT: Rule(frozenset({P.TENSION, P.ARM}), 30.0, "every cable is straight", "the load hangs still at its height"),
     P.CARRY: Rule(frozenset({P.LIFT, P.CARRY}), 600.0, "the load hangs", "the load is still at the end of its way"),
     P.SET_DOWN: Rule(frozenset({P.LIFT, P.CARRY}), 60.0, "the load hangs", "the load stands"),
     P.RELEASE: Rule(

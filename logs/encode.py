@@ -21,6 +21,7 @@ SCHEMA_VERSION = 2  # of cablequad.proto; in a log's metadata
 COLORS = (  # Okabe-Ito, told apart by colour-blind readers; vehicle i has colour i, wherever it is drawn
     (230, 159, 0), (86, 180, 233), (0, 158, 115), (204, 121, 167), (240, 228, 66), (213, 94, 0), (0, 114, 178),
 )  # fmt: skip
+ALARMING = frozenset({"sitl-answer-missing", "slack", "guard", "lost", "abort", "sitl-failure"})  # kinds of events
 ROTOR_ARM = 0.17  # m, drawn only
 
 
@@ -101,7 +102,7 @@ def reference(boot_us: int, sample: Sample) -> bytes:
 
 def log_line(ns: int, kind: str, subject: str, text: str) -> Any:
     """/log."""
-    level = Log.Level.WARNING if kind in ("sitl-answer-missing", "slack") else Log.Level.INFO
+    level = Log.Level.WARNING if kind in ALARMING else Log.Level.INFO
     return Log(timestamp=_stamp(ns), level=level, message=f"{subject}: {text}", name=kind, file="", line=0)
 
 

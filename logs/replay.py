@@ -8,7 +8,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from cablequad.types import Array
-from logs.encode import color
+from logs.encode import ALARMING, color
 from logs.motion import Motion, motion_of, rotate, shade, thin
 from logs.reader import Run, frame_headers, missing_before
 
@@ -294,6 +294,8 @@ def _events(out: rr.RecordingStream, run: Run, told: int) -> None:
     if told == 0:
         first = min((int(c["sim_time_ns"][0]) for c in run.columns.values() if "sim_time_ns" in c), default=0)
         marks.insert(0, (first, "prepare"))
+    marks += [(e.time_ns, e.text) for e in events if e.kind == "phase"]
+    marks = [m for m in marks if m[1] != "fly" or not any(e.kind == "phase" for e in run.events)]
     marks += [(e.time_ns, "hold") for e in events if e.kind == "end"]
     t = np.array([(ns - run.release_ns) * 1e-9 for ns, _ in marks])
     out.send_columns("phases/mission", [_time(t)], rr.StateChange.columns(state=[name for _, name in marks]))
@@ -307,7 +309,7 @@ def _events(out: rr.RecordingStream, run: Run, told: int) -> None:
     if events:
         t = np.array([(e.time_ns - run.release_ns) * 1e-9 for e in events])
         text = [f"{e.subject}: {e.text}" for e in events]
-        level = ["WARN" if e.kind in ("sitl-answer-missing", "slack") else "INFO" for e in events]
+        level = ["WARN" if e.kind in ALARMING else "INFO" for e in events]
         out.send_columns("events", [_time(t)], rr.TextLog.columns(text=text, level=level))
 
 

@@ -130,6 +130,7 @@ def check(
 
     from missions.check import check as examine
     from missions.check import show
+    from missions.drills import in_the_air
     from missions.scenario import ScenarioError
 
     console = Console(width=None if sys.stdout.isatty() else 120, highlight=False, quiet=as_json)
@@ -137,7 +138,7 @@ def check(
         flight = _load(scenario, None, None)
         s = flight.scenario
         console.print(f"[bold]{s.name}[/bold], law = {s.control.law}: {s.description}")
-        result = examine(flight, quick)
+        result = examine(in_the_air(flight), quick)
     except ScenarioError as error:
         usage(str(error))
     if as_json:
@@ -153,6 +154,7 @@ def margins(
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")] = False,
 ) -> None:
     """How much delay, loss and wrong modelling the loop stands: predicted, and measured in simulated flights."""
+    from missions.drills import in_the_air
     from missions.margins import measure, plot
     from missions.report import margins_table, working
     from missions.scenario import ScenarioError
@@ -161,7 +163,7 @@ def margins(
         flight = _load(scenario, None, None)
         out.mkdir(parents=True, exist_ok=True)
         with working(f"{flight.scenario.name}: flying towards its margins", quiet=as_json):
-            result = measure(flight)
+            result = measure(in_the_air(flight))
     except ScenarioError as error:
         usage(str(error))
     except OSError as error:
@@ -172,6 +174,53 @@ def margins(
         print(json.dumps(result))
     else:
         margins_table(result)
+
+
+@app.command()
+def preflight(
+    scenario: ScenarioArgument = "ground-to-ground",
+    out: Annotated[Path, typer.Option(help="Folder for the page and the logs.")] = Path("runs"),
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")] = False,
+    port_offset: PortOffset = 0,
+) -> None:
+    """Go or no-go: design, margins, the flight itself and eight drills with and without protection, on one page.
+
+    Exit code 0 for go, 1 for no-go.
+    """
+    from rich.console import Console
+
+    from missions import preflight as page
+    from missions.run import Options
+    from missions.scenario import ScenarioError
+
+    console = Console(width=None if sys.stdout.isatty() else 120, highlight=False, quiet=as_json)
+    progress = Console(stderr=True, quiet=as_json or not sys.stderr.isatty())
+    try:
+        flight = _load(scenario, None, None)
+        out.mkdir(parents=True, exist_ok=True)
+        name = flight.scenario.name
+        with progress.status(name) as status:
+            lines = list(
+                page.preflight(
+                    flight, Options(out=out, port_offset=port_offset), lambda text: status.update(f"{name}: {text}")
+                )
+            )
+    except ScenarioError as error:
+        usage(str(error))
+    except OSError as error:
+        usage(f"--out {out}: {error.strerror}; choose another folder")
+    target = out / f"{name}-preflight.html"
+    target.write_text(page.page(name, flight.scenario.description, lines), encoding="utf-8")
+    go = page.verdict(lines)
+    if as_json:
+        print(
+            json.dumps({"scenario": name, "go": go, "page": str(target), "lines": [line._asdict() for line in lines]})
+        )
+    else:
+        page.show(name, lines, console)
+        console.print(f"page:   {target}", soft_wrap=True)
+    if not go:
+        raise typer.Exit(FAILED)
 
 
 @app.command()

@@ -13,25 +13,42 @@ from cablequad.design import Design, DesignError, sampled_law
 from cablequad.estimate import Filter, observer
 from cablequad.linear import EquilibriumError, equilibrium
 from cablequad.noise import Noise
-from cablequad.state import positions
 from cablequad.system import without
 from cablequad.trajectory import Trajectory
 from missions import scenario as scenarios
 from missions.scenario import Flight
+from missions.tracking import Standing
 
 PULL = 0.9  # of a vehicle's greatest thrust: the most that a cable may bear where nothing is said
+
+
+ON_THE_GROUND = (Phase.TAKE_OFF, Phase.TENSION)  # what a mission that begins in the air leaves out
 
 
 async def usual(mission: Mission) -> None:
     """Every phase after the other."""
     for phase in ORDER:
-        await mission.begin(phase)
+        if not (mission.plan.airborne and phase in ON_THE_GROUND):
+            await mission.begin(phase)
+        if phase is Phase.LIFT:
+            await mission.wait(mission.plan.hold_s)
 
 
-def rest_z(flight: Flight) -> float | None:
-    """m: the load's z where it stands on the ground; None without ground."""
+def standing(flight: Flight) -> Standing | None:
+    """Where load and vehicles stand on the ground; None without ground."""
     s = flight.scenario
-    return None if s.ground is None else float(flight.initial.x0[2])
+    if s.ground is None:
+        return None
+    airborne = s.mission is not None and s.mission.start == "air"
+    R0 = _hangs(flight) if airborne else flight.initial.R0
+    return Standing(scenarios.standing_z(s, s.ground, R0), s.ground.z_m - s.vehicle.feet_m[1])
+
+
+def _hangs(flight: Flight) -> np.ndarray:
+    try:
+        return np.asarray(equilibrium(flight.system).R0)
+    except EquilibriumError:
+        return np.eye(3)
 
 
 def contingencies(flight: Flight, design: Design) -> tuple[dict[frozenset[int], Design], dict[frozenset[int], Filter]]:
@@ -93,13 +110,12 @@ def plan_of(flight: Flight) -> MissionPlan:
     m, ground = s.mission, s.ground
     assert m is not None
     assert ground is not None
-    x0, R0 = flight.initial.x0, flight.initial.R0
-    stands = (positions(flight.system, flight.initial)[:, 0] - x0) @ R0
-    try:
-        hangs = equilibrium(flight.system).R0
-    except EquilibriumError:
-        hangs = np.eye(3)
-    rest = float(x0[2])
+    places = standing(flight)
+    assert places is not None
+    rest = places.load_z
+    flat = scenarios.standing_places(s, ground, flight.system.rho)
+    stands = np.column_stack([flat, np.full(len(flat), places.vehicle_z - rest)])
+    hangs = _hangs(flight)
     lifted = rest - m.lift_m
 
     def route(start: list[float], end: list[float]) -> Trajectory:
@@ -110,6 +126,7 @@ def plan_of(flight: Flight) -> MissionPlan:
     return MissionPlan(
         rest, stands, hangs, target, route, m.lift_m, m.slack, m.pretension, m.lift_speed_m_s, m.set_down_speed_m_s,
         m.take_off_speed_m_s, limits, guards(flight), np.array(m.fence_m), m.battery, m.hooks, m.protect,
+        m.start == "air", m.hold_s,
     )  # fmt: skip
 
 
@@ -128,11 +145,15 @@ def guards(flight: Flight) -> tuple[Guard, ...]:
         Guard("outside_fence_m", g.outside_fence_m, "set-down", 0.2),
         Guard("thrust_reserve", g.thrust_reserve, "pause", 0.3),
         Guard("state_age_s", g.state_age_s, "pause", 0.0),
+        Guard("off_plan_m", g.off_plan_m, "pause", 0.1),
         Guard("battery", g.battery, "set-down", 1.0),
     )
 
 
 def mission_of(flight: Flight, fleet: Fleet, design: Design, script: Script = usual) -> Mission:
     """The mission of a flight, ready to be flown."""
+    plan = plan_of(flight)
     designs, filters = contingencies(flight, design)
-    return Mission(plan_of(flight), fleet, designs, filters, flight.control_us * 1e-6, script)
+    if not plan.protect:  # nothing finds out what lasts, either
+        designs = {lost: d._replace(held=0.0 * d.held) for lost, d in designs.items()}
+    return Mission(plan, fleet, designs, filters, flight.control_us * 1e-6, script)

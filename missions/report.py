@@ -53,7 +53,7 @@ def table(s: Summary) -> None:
     def limit(name: str) -> str:
         if name not in asked:
             return ""
-        sign = ">=" if name == "min_tension_N" else "<="
+        sign = ">=" if name.startswith("min_") else "<="
         return f"{sign} {asked[name]['limit']:g} {'ok' if asked[name]['holds'] else 'MISSED'}"
 
     out = Table(title=f"{s.scenario}: {'passed' if s.passed else 'FAILED'}", title_justify="left", show_header=False)
@@ -74,6 +74,11 @@ def table(s: Summary) -> None:
     out.add_row("largest Psi_i", _of(s.max_psi, "{:.4f}"), limit("max_psi"))
     out.add_row("largest thrust", _of(s.max_thrust_N, "{:.2f} N"), limit("max_thrust_N"))
     out.add_row("smallest tension", _of(s.min_tension_N, "{:.2f} N"), limit("min_tension_N"))
+    if s.max_tension_N is not None:
+        out.add_row("largest tension", _of(s.max_tension_N, "{:.2f} N"), limit("max_tension_N"))
+        out.add_row("smallest separation", _of(s.min_separation_m, "{:.2f} m"), limit("min_separation_m"))
+        out.add_row("touch-down", _of(s.touch_down_m_s, "{:.3f} m/s"), limit("touch_down_m_s"))
+        out.add_row("set down from its mark", _of(s.set_down_error_m, "{:.3f} m"), limit("set_down_error_m"))
     out.add_row("messages sent, lost, late", f"{s.messages_sent}, {s.messages_lost}, {s.messages_late}", "")
     if s.predicted_ticks:
         out.add_row("states partly predicted", str(s.predicted_ticks), "")

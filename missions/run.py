@@ -43,7 +43,7 @@ from cablequad.trajectory import at
 from logs.encode import SCHEMA_VERSION, Model
 from logs.recorder import Attachment, RecorderError
 from missions import scenario as scenarios
-from missions.mission import mission_of, rest_z
+from missions.mission import mission_of, standing
 from missions.scenario import Flight
 from missions.scribe import Opening, Scribe
 from missions.show import Show
@@ -235,8 +235,9 @@ class _Ready(NamedTuple):
 
 def _prepared(flight: Flight, design: Design, configure: bool) -> _Ready:
     s = flight.scenario
-    grounded = s.mission is not None
-    fleet = Fleet(flight.airframe.max_thrust.tolist(), flight.control_us * 1e-6, configure, s.control.sensing, grounded)
+    grounded, airborne = s.mission is not None, s.mission is not None and s.mission.start == "air"
+    period_s, sensing = flight.control_us * 1e-6, s.control.sensing
+    fleet = Fleet(flight.airframe.max_thrust.tolist(), period_s, configure, sensing, grounded, airborne)
     if grounded:
         return _Ready(fleet, mission_of(flight, fleet, design), loop_of(flight))
     return _Ready(fleet, Plan(lambda t: at(flight.trajectory, t), s.duration_s), loop_of(flight))
@@ -390,7 +391,7 @@ def _opening(flight: Flight, design: Design, options: Options) -> Opening:
         ],
         s.epoch_s * 10**9,
         with_truth=not options.connect,
-        rest_z=rest_z(flight),
+        standing=standing(flight),
         target_m=(float(s.target.position_m[0]), float(s.target.position_m[1]), float(s.target.position_m[2])),
     )
 

@@ -128,7 +128,7 @@ def load(
     if changes:
         scenario = scenario.model_copy(update=changes)
     try:
-        flight = _flight(scenario, source)
+        flight = flight_of(scenario, source)
         return flight if script is None else _by_script(flight, script, duration_s)
     except CourseError as error:
         raise ScenarioError(str(error)) from None
@@ -142,7 +142,7 @@ def restored(resolved: str, source: str, script: str | None) -> Flight:
     Raises ScenarioError where today's tables do not take it.
     """
     try:
-        flight = _flight(Scenario.model_validate_json(resolved), source)
+        flight = flight_of(Scenario.model_validate_json(resolved), source)
         if script is None:
             return flight
         start, limits = _start(flight.scenario, flight.initial, flight.system), _limits(flight.scenario)
@@ -222,7 +222,8 @@ def system_of(s: Scenario, heavier: float = 1.0) -> System:
     return System.of(payload, quadrotors, chains, s.gravity_m_s2)
 
 
-def _flight(s: Scenario, source: str) -> Flight:
+def flight_of(s: Scenario, source: str) -> Flight:
+    """The flight that a scenario describes. Raises ValueError naming the key that cannot be."""
     of = partial(_of, s)
     system = system_of(s)
     airframe = Airframe(
@@ -240,7 +241,7 @@ def _flight(s: Scenario, source: str) -> Flight:
         if v.initial_link_directions is not None:
             q = np.array(v.initial_link_directions)
             initial.q[i, : len(q)] = q / np.linalg.norm(q, axis=1, keepdims=True)
-    if s.ground is not None:
+    if s.ground is not None and not _airborne(s):
         _lay_out(s, s.ground, system, initial)
     initial = initial.copy()  # arrays of one layout, as compiled code is compiled for each
     control_us = round(1e6 / s.control.rate_hz)
@@ -307,8 +308,29 @@ def _around(s: Scenario, system: System, airframe: Airframe, areas: list[float])
     x, y, z = s.payload.box_m
     return Surroundings(
         air, rotors, None if s.ground is None else s.ground.z_m, 0.0 if s.ground is None else s.ground.friction,
-        box_corners((x, y, z)), feet, s.payload.downwash,
+        box_corners((x, y, z)), feet, s.payload.downwash, _airborne(s),
     )  # fmt: skip
+
+
+def _airborne(s: Scenario) -> bool:
+    """Whether a mission begins with a load that hangs."""
+    return s.mission is not None and s.mission.start == "air"
+
+
+def standing_places(s: Scenario, ground: GroundTable, rho: np.ndarray) -> np.ndarray:
+    """(n, 2) m: where vehicles stand around the load, in its frame."""
+    out = np.empty((len(rho), 2))
+    for i, v in enumerate(s.vehicles):
+        size = float(np.linalg.norm(rho[i, :2]))
+        away = rho[i, :2] / size if size > 1e-6 else np.array([1.0, 0.0])
+        out[i] = rho[i, :2] + ground.stand_off_m * away if v.stands_m is None else v.stands_m
+    return out
+
+
+def standing_z(s: Scenario, ground: GroundTable, R0: np.ndarray) -> float:
+    """m: the load's z where it stands on the ground with attitude R0."""
+    x, y, z = s.payload.box_m
+    return ground.z_m - float((box_corners((x, y, z)) @ R0.T)[:, 2].max())
 
 
 def _lay_out(s: Scenario, ground: GroundTable, system: System, initial: State) -> None:
@@ -316,24 +338,19 @@ def _lay_out(s: Scenario, ground: GroundTable, system: System, initial: State) -
 
     Raises ValueError where the load is not on the ground or a cable is too short.
     """
-    x, y, z = s.payload.box_m
-    lowest = float((initial.x0 + box_corners((x, y, z)) @ initial.R0.T)[:, 2].max())
-    if abs(lowest - ground.z_m) > 0.01:
+    rest = standing_z(s, ground, initial.R0)
+    if abs(initial.x0[2] - rest) > 0.01:
         raise ValueError(
-            f"initial.position_m: the load's lowest corner is at z = {lowest:.3f} m; with [ground] it must stand at "
-            f"{ground.z_m:g} m"
+            f"initial.position_m: z = {initial.x0[2]:g} given; a load that stands on the ground at {ground.z_m:g} m "
+            f"is at {rest:.3f} m"
         )
+    places = standing_places(s, ground, system.rho)
     for i, v in enumerate(s.vehicles):
         if v.initial_link_directions is not None:
             continue
         k = int(system.n_links[i])
         end = initial.x0 + initial.R0 @ system.rho[i]
-        out = initial.R0 @ np.array([*system.rho[i, :2], 0.0])
-        size = float(np.linalg.norm(out))
-        out = out / size if size > 1e-6 else np.array([1.0, 0.0, 0.0])
-        at = end + ground.stand_off_m * out
-        if v.stands_m is not None:
-            at = initial.x0 + initial.R0 @ np.array([*v.stands_m, 0.0])
+        at = initial.x0 + initial.R0 @ np.array([*places[i], 0.0])
         at[2] = ground.z_m - s.vehicle.feet_m[1]
         way = end - at
         long, far = float(system.length[i, :k].sum()), float(np.linalg.norm(way))

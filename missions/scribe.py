@@ -30,7 +30,7 @@ from logs import encode
 from logs.encode import Model, Motion
 from logs.recorder import FLUSH_S, Attachment, Frame, Recorder, RecorderError
 from missions.channel import Shapes, put_sample, sample_shapes, take, take_sample
-from missions.tracking import Followed, Following, Grounded, OnGround
+from missions.tracking import Followed, Following, Grounded, OnGround, Standing
 from sitl.plant import Truth
 from sitl.server import Event
 
@@ -52,7 +52,7 @@ class Opening(NamedTuple):
     epoch_ns: int
     with_truth: bool
     target_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    rest_z: float | None = None  # m, of a load that stands on the ground at first
+    standing: Standing | None = None  # of a mission
 
 
 class Judged(NamedTuple):
@@ -199,7 +199,7 @@ class _Ledger:
         model: Model,
         truth: Connection,
         target_m: tuple[float, float, float],
-        rest_z: float | None,
+        standing: Standing | None,
     ) -> None:
         self._recorder = recorder
         self._used = np.arange(model.system.length.shape[1])[None, :] < model.system.n_links[:, None]
@@ -215,7 +215,7 @@ class _Ledger:
         self._smallest_N = math.inf
         self._following = Following(target_m)
         self._newest: Truth | None = None
-        self._ground = None if rest_z is None else OnGround(rest_z, target_m)
+        self._ground = None if standing is None else OnGround(standing, target_m)
 
     def take(self, entry: tuple) -> None:
         """Write one entry of the bridge."""
@@ -299,7 +299,7 @@ class _Ledger:
         motion = Motion(truth.state, truth.x, truth.v, truth.tension, truth.thrust)
         self._recorder.truth(truth.boot_us, truth.held, motion)
         if self._ground is not None:
-            self._ground.take(truth.state, truth.x, truth.tension[self._used])
+            self._ground.take(truth.state, truth.x, truth.v, truth.tension[self._used])
         if not truth.held and not self._ended:
             tension = np.where(self._used, truth.tension, np.inf)
             self._smallest_N = min(self._smallest_N, float(tension.min()))
@@ -345,7 +345,7 @@ def _child(opening: Opening, down: Connection, up: Connection, truth: Connection
         return
     _encode_once(opening.model)
     up.send("ready")
-    ledger = _Ledger(recorder, opening.model, truth, opening.target_m, opening.rest_z)
+    ledger = _Ledger(recorder, opening.model, truth, opening.target_m, opening.standing)
     told_error = False
     while True:
         try:

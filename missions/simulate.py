@@ -11,11 +11,15 @@ from collections.abc import Callable
 from multiprocessing.connection import Connection
 from typing import NamedTuple
 
+import numpy as np
+
 from bridge.link import LinkError
 from bridge.wire.telemetry import Home
 from missions import scenario as scenarios
 from missions.channel import Failure, Ready, Status, put
 from missions.scenario import Flight
+from missions.tables import FailureTable
+from sitl.failures import Failure as Breakage
 from sitl.plant import PhysicsError, Truth
 from sitl.server import HOST, Event, Report, Server, Settings
 
@@ -72,7 +76,16 @@ def settings(flight: Flight, serving: Serving) -> Settings:
         around=flight.world.around,
         weather=flight.world.weather,
         noise=scenarios.noise(flight),
+        failures=tuple(_failure(f) for f in s.failures),
     )
+
+
+def _failure(f: FailureTable) -> Breakage:
+    lasts = round(f.lasts_s * 1e6)
+    return Breakage(
+        round(f.at_s * 1e6), f.kind, f.vehicle - 1, f.rotor - 1, np.array(f.offset_m), np.array(f.wind_m_s), lasts,
+        f.remaining, f.sag,
+    )  # fmt: skip
 
 
 def pin(which: int) -> None:

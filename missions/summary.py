@@ -80,6 +80,7 @@ class Summary(NamedTuple):
     touch_down_m_s: float | None = None
     max_tension_N: float | None = None
     min_separation_m: float | None = None  # between vehicles
+    vehicles_crashed: int | None = None
 
 
 def criteria(limits: AcceptanceTable, s: Summary) -> list[Criterion]:
@@ -161,6 +162,7 @@ def summarize(
         set_down_error_m=None if grounded is None else grounded.set_down_error_m,
         touch_down_m_s=None if grounded is None else grounded.touch_down_m_s,
         max_tension_N=None if grounded is None else grounded.largest_tension_N,
+        vehicles_crashed=None if grounded is None else grounded.vehicles_crashed,
         min_separation_m=None if grounded is None else grounded.smallest_separation_m,
         thrust_scale=[
             {"scale": round(k.scale, 5), "error": round(k.error, 5)} for k in timing.thrust_scales if k.pairs > 2

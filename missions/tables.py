@@ -195,7 +195,7 @@ class FailureTable(_Table):
     rotor: Annotated[int, Field(ge=1, le=4)] = 1
     offset_m: Vector = [0.1, 0.0, 0.0]  # payload-shift: of the centre of mass, in the load's frame
     wind_m_s: Vector = [8.0, 0.0, 0.0]  # gust
-    lasts_s: Positive = 3.0  # gust, gps-loss
+    lasts_s: Positive = 3.0  # gust, gps-loss; low-battery: until it is empty
     remaining: Share = 0.1  # low-battery
     sag: Share = 0.15  # low-battery: of the thrust that is lost
 
@@ -294,13 +294,16 @@ class GuardTable(_Table):
     outside_fence_m: NotNegative = 0.0
     thrust_reserve: Share = 0.05
     state_age_s: Positive = 0.3
+    off_plan_m: Positive = 0.5
     battery: Share = 0.2
 
 
 class MissionTable(_Table):
     """[mission]: from the ground to the ground, in phases; needs [ground]"""
 
+    start: Literal["ground", "air"] = "ground"  # air: held with the load hanging, as a flight without [mission]
     lift_m: Positive = 1.0
+    hold_s: NotNegative = 1.0  # still, before the load is carried
     slack: Annotated[float, BeforeValidator(_number), Field(gt=0.3, lt=0.95)] = 0.85
     pretension: Share = 0.7
     lift_speed_m_s: Positive = 0.4

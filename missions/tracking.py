@@ -13,6 +13,7 @@ from cablequad.state import Difference, State
 SETTLED_M = 0.05
 LAST_S = 10.0  # of the mean
 LIFTED_M, TOUCHES_M = 0.05, 0.003
+LOW_M, HARD_M_S, TOPPLED, HIT_M = 0.05, 1.0, 0.5, 0.25
 
 
 class Followed(NamedTuple):
@@ -77,6 +78,13 @@ class Following:
         )  # fmt: skip
 
 
+class Standing(NamedTuple):
+    """Where things stand on the ground."""
+
+    load_z: float  # m, of the load
+    vehicle_z: float  # m, of a vehicle
+
+
 class Grounded(NamedTuple):
     """What was true of a mission from the ground."""
 
@@ -84,31 +92,38 @@ class Grounded(NamedTuple):
     touch_down_m_s: float | None  # its vertical speed right before it first stood again
     largest_tension_N: float
     smallest_separation_m: float
-    load_speed_max_m_s: float  # at any time
+    vehicles_crashed: int  # that hit the ground at speed or upside down, or another vehicle
 
 
 class OnGround:
     """Figures of a load that is lifted and set down, from the truth."""
 
-    def __init__(self, rest_z: float, target_m: tuple[float, float, float]) -> None:
-        self._rest_z, self._target = rest_z, target_m
+    def __init__(self, ground: Standing, target_m: tuple[float, float, float]) -> None:
+        self._rest_z, self._floor_z, self._target = ground.load_z, ground.vehicle_z, target_m
+        self._crashed: set[int] = set()
         self._lifted, self._before = False, 0.0
         self._touch: float | None = None
         self._tension = 0.0
         self._separation = math.inf
-        self._speed = 0.0
         self._last = (0.0, 0.0, 0.0)
 
-    def take(self, s: State, x: np.ndarray, tension: np.ndarray) -> None:
-        """The state, the vehicles at x (n, 3) m and the tensions (links,) N of one instant."""
+    def take(self, s: State, x: np.ndarray, v: np.ndarray, tension: np.ndarray) -> None:
+        """The state, the vehicles' x, v (n, 3) m, m/s and the tensions (links,) N of one instant."""
         z, down = float(s.x0[2]), float(s.v0[2])
         self._lifted = self._lifted or z < self._rest_z - LIFTED_M
         if self._lifted and self._touch is None and z > self._rest_z - TOUCHES_M:
             self._touch = abs(self._before)
         self._before = down
         self._tension = max(self._tension, float(tension.max()))
-        self._separation = min(self._separation, separation(x))
-        self._speed = max(self._speed, math.hypot(*s.v0.tolist()))
+        gap = separation(x)
+        self._separation = min(self._separation, gap)
+        low = x[:, 2] > self._floor_z - LOW_M
+        if low.any() or gap < HIT_M:
+            hard = (np.linalg.norm(v, axis=1) > HARD_M_S) | (s.R[:, 2, 2] < TOPPLED)
+            self._crashed.update(np.flatnonzero(low & hard).tolist())
+            if gap < HIT_M:
+                near = np.linalg.norm(x[:, None] - x[None], axis=-1) + np.eye(len(x))
+                self._crashed.update(np.flatnonzero(near.min(axis=1) < HIT_M).tolist())
         self._last = tuple(s.x0.tolist())
 
     def judged(self) -> Grounded:
@@ -116,4 +131,4 @@ class OnGround:
         off = math.dist(self._last[:2], self._target[:2])
         if self._last[2] < self._rest_z - LIFTED_M:  # it never came down
             off = math.dist(self._last, self._target)
-        return Grounded(off, self._touch, self._tension, self._separation, self._speed)
+        return Grounded(off, self._touch, self._tension, self._separation, len(self._crashed))

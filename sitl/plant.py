@@ -36,6 +36,7 @@ class Surroundings(NamedTuple):
     corners: Array = np.zeros((0, 3))  # (c, 3) m, of the load
     feet: Array = np.zeros((0, 3))  # (4, 3) m, of a vehicle
     downwash: float = 0.0
+    airborne: bool = False  # held in the air at first, over the ground
 
 
 class Truth(NamedTuple):
@@ -141,15 +142,16 @@ class Plant:
         """Back to the initial state, held where there is no ground."""
         n = len(self.system.m)
         self.around = self._around
-        self.held = not self.grounded
+        self.held = not self.grounded or self.around.airborne
         self.thrust = np.zeros(n)
         self._rotor_thrust = np.zeros((n, 4))
         state = self.initial.copy()
         whole = self._world(self.system, self.around.corners, list(range(n)))
         self._parts = [_Part(self.system, list(range(n)), self.airframe, state, whole, self._rotor_thrust)]
+        self._gust, self._gust_s, self._gust_at = np.zeros(3), 0.0, 0.0
         self._apart: list[int] = []
         self._offset = np.zeros(3)  # of the load's centre of mass, in its frame, from where it was
-        self._standing = [self.grounded] * n
+        self._standing = [self.grounded and not self.around.airborne] * n
         self._settled_s = [0.0] * n
 
     def _world(self, system: System, corners: Array, members: list[int]) -> World:
@@ -190,7 +192,7 @@ class Plant:
 
     def standing(self) -> list[bool]:
         """Who stands on something, as a land detector says it: feet on the ground and little thrust for a while."""
-        return list(self._standing) if self.grounded else [self.held] * len(self.system.m)
+        return list(self._standing) if self.grounded and not self.held else [self.held] * len(self.system.m)
 
     def command(self, actuation: Sequence[Actuation]) -> None:
         """What acts from now on."""
@@ -203,9 +205,7 @@ class Plant:
         """`steps` physics steps under what was commanded. Raises PhysicsError when the state is no longer finite."""
         if self.held:
             return
-        wind = self._wind.next(steps) if self._wind is not None else None
-        if wind is None and not self._plain:
-            wind = np.zeros((steps, 3))
+        wind = self._air(steps)
         thrust = self.thrust.copy()
         for part in self._parts:
             part.move(self._setpoint, part.state, self.h, steps, wind)
@@ -299,8 +299,26 @@ class Plant:
         return out
 
     def _needs_world(self) -> None:
-        if self._plain:
-            raise ValueError("this plant has no rotors that could fail; give it some")
+        """Rotors that act at once, where none were described, so that they can fail."""
+        self._plain = False
+        for part in self._parts:
+            part.world.has[ROTORS] = 1.0
+
+    def blow(self, wind: Array, seconds: float) -> None:
+        """A gust of (1 - cos) shape begins: MIL-F-8785C's discrete gust, up to `wind` (3,) m/s and down again."""
+        self._gust, self._gust_s, self._gust_at = wind, seconds, 0.0
+
+    def _air(self, steps: int) -> Array | None:
+        """(steps, 3) m/s, W: how the air moves in the next steps."""
+        wind = self._wind.next(steps) if self._wind is not None else None
+        if wind is None and not self._plain:
+            wind = np.zeros((steps, 3))
+        if wind is not None and self._gust_at < self._gust_s:
+            t = self._gust_at + self.h * np.arange(steps)
+            share = np.where(t < self._gust_s, 0.5 * (1.0 - np.cos(2.0 * np.pi * t / self._gust_s)), 0.0)
+            wind = wind + share[:, None] * self._gust
+            self._gust_at += steps * self.h
+        return wind
 
     # -- what is told --------------------------------------------------------------------------------------------------
 

@@ -22,6 +22,7 @@ from cablequad.state import State
 from cablequad.system import System
 from cablequad.types import Array
 from sitl import tracker
+from sitl.failures import Broken, Failure
 from sitl.firmware.arducopter import ArduCopter
 from sitl.firmware.autopilot import ATTITUDE_QUATERNION, HIGHRES_IMU, Autopilot, Body
 from sitl.firmware.px4 import Px4
@@ -67,6 +68,7 @@ class Settings(NamedTuple):
     around: Surroundings = Surroundings()
     weather: Weather | None = None
     noise: Noise = Noise()
+    failures: tuple[Failure, ...] = ()
 
 
 class Event(NamedTuple):
@@ -137,6 +139,7 @@ class Server:
             for i, f in enumerate(s.faults_down[:n])
         ] or [None] * n
         self._sink = sink
+        self._broken = Broken(s.failures, n)
         self._tick = 0
         self._inbox: list[list[tuple[int, Received]]] = [[] for _ in range(self.n)]
         self._engaged = [s.lockstep and s.await_controller] * self.n
@@ -242,6 +245,8 @@ class Server:
             self._deliver(i, vehicle, now)
             vehicle.tick(now)
         self._settle(now)
+        for subject, text in self._broken.act(now, self._released_us, self.plant, self.vehicles):
+            self._sink(Event(now, "failure", subject, text))
         self.plant.command([vehicle.actuation(own) for vehicle, own in zip(self.vehicles, self._own, strict=True)])
         for part in range(1, s.tick_us // s.truth_us + 1):
             if part > 1 and isinstance(self.plant, Plant):
@@ -262,9 +267,17 @@ class Server:
                 force = self.plant.specific_force(self._truth)
             self._own = [own._replace(specific_force=force[i]) for i, own in enumerate(self._own)]
         for i, vehicle in enumerate(self.vehicles):
+            self._own[i] = self._self_image(i, self._own[i])
             self._speak(i, vehicle, self._sensors.vehicle(vehicle.snapshot(self._own[i])))
         if self._truth is not None:
             self._track(self._sensors.tracked(self._truth))
+
+    def _self_image(self, i: int, own: Snapshot) -> Snapshot:
+        """What vehicle i takes itself to be, with what is broken."""
+        off, battery = self._broken.astray(i, own.boot_us), self._broken.battery[i]
+        if off is not None:
+            return own._replace(x=own.x + off, gps_fix=1, battery=battery)
+        return own if battery == own.battery else own._replace(battery=battery)
 
     def _deliver(self, i: int, vehicle: Autopilot, now: int) -> None:
         waiting = []

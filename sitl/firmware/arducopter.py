@@ -193,6 +193,12 @@ class ArduCopter(Autopilot):
             self._stopped, self._target, self._takeoff = True, None, None
             self.navigator.end()
 
+    def leave(self, mode: str) -> None:
+        """See Autopilot."""
+        self._change(Mode[mode])
+        self.failsafe = True
+        self._text(CRITICAL, f"Failsafe: {self.mode.name}")
+
     def _situation(self, now_us: int, forced: bool = False) -> Situation:
         return Situation(self.armed, self.landed == ON_GROUND, self.mode, now_us >= self._ready_us, forced)
 

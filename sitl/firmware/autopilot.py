@@ -109,6 +109,8 @@ class Autopilot(ABC):
         self.streams = [Streams(default_hz[kind], tick_us) for kind in links]
         self.navigator = Navigator(body.mass_kg, body.g, tick_us)
         self.armed = False
+        self.hook_open = False
+        self.injected: list[tuple[str, int | None]] = []  # failures that were commanded: kind, rotor
         self.landed = ON_GROUND
         self.failsafe = False
         self._ready_us = ready_us
@@ -148,6 +150,10 @@ class Autopilot(ABC):
     @abstractmethod
     def tick(self, now_us: int) -> None:
         """Let time pass: failsafes, time-outs, idle disarming."""
+
+    @abstractmethod
+    def leave(self, mode: str) -> None:
+        """Go into LAND or RTL by itself, as a failsafe does."""
 
     @abstractmethod
     def actuation(self, s: Snapshot) -> Actuation:
@@ -258,6 +264,8 @@ class Autopilot(ABC):
                 self._asked_for.append((link, msgid))
             case M.MAV_CMD_REQUEST_MESSAGE:
                 return unknown
+            case M.MAV_CMD_DO_GRIPPER:
+                self.hook_open = True  # GRIPPER_ACTION_RELEASE; once let go a cable stays off
             case _:
                 return UNSUPPORTED
         return ACCEPTED

@@ -25,12 +25,14 @@ from sitl.firmware.transitions import (
     FAILED,
     INFO,
     TEMPORARILY_REJECTED,
+    UNSUPPORTED,
     decide,
 )
 
 M = mavlink
 MAGIC_FORCE = 21196.0
 READY_US = 2_000_000
+ROTORS = 4
 
 DEFAULT_HZ: dict[LinkKind, dict[int, float]] = {
     LinkKind.ONBOARD: {
@@ -114,8 +116,29 @@ class Px4(Autopilot):
                 if ok:
                     self.streams[link].set_interval(number[0], p[1])
                 return [ACCEPTED if ok else FAILED]
+            case M.MAV_CMD_INJECT_FAILURE:
+                return [self._inject(number)]
             case _:
                 return [self._request(link, c.command, number[0], DENIED)]
+
+    def _inject(self, number: list[int]) -> int:
+        """MAV_CMD_INJECT_FAILURE with SYS_FAILURE_EN: motors that stop, and a GPS that says nothing any more."""
+        unit, kind, instance = number[:3]
+        if kind != M.FAILURE_TYPE_OFF or not 0 <= instance <= ROTORS:
+            return UNSUPPORTED
+        if unit == M.FAILURE_UNIT_SYSTEM_MOTOR:
+            self.injected.append(("rotor-out", None if instance == 0 else instance - 1))
+        elif unit == M.FAILURE_UNIT_SENSOR_GPS:
+            self.injected.append(("gps-loss", None))
+        else:
+            return UNSUPPORTED
+        return ACCEPTED
+
+    def leave(self, mode: str) -> None:
+        """See Autopilot."""
+        self.failsafe = True
+        self._change(Mode[mode])
+        self._text(CRITICAL, f"Failsafe activated: switching to {self.mode.name}")
 
     def _set_mode(self, value: SetMode, now_us: int) -> int | None:
         return self._enter(value.custom_mode >> 16 & 255, value.custom_mode >> 24 & 255, now_us)

@@ -1,0 +1,135 @@
+"""`cablequad preflight`: design, margins, the nominal flight and the drills on one page, go or no-go line by line."""
+
+import html
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+from rich.console import Console
+from rich.table import Table
+
+from missions.check import check
+from missions.drills import compared, drills, in_the_air, rehearsal
+from missions.margins import measure
+from missions.report import margin_text
+from missions.run import Options, Progress, run
+from missions.scenario import Flight, ScenarioError
+
+THRUST_SHARE = 0.6  # of its greatest, that a vehicle may need at rest
+ASKED = {
+    "delay on top": 1.0, "loss of setpoints": 0.05, "thrust stronger": 1.1, "thrust weaker": 0.9,
+    "payload heavier": 1.2, "payload lighter": 0.8,
+}  # fmt: skip
+STYLE = """
+body{font:14px/1.45 system-ui,sans-serif;max-width:960px;margin:2em auto;padding:0 1em;color:#1a1a1a}
+table{border-collapse:collapse;width:100%} td,th{border-bottom:1px solid #ddd;padding:.3em .6em;text-align:left;
+vertical-align:top} .go{color:#00694e;font-weight:700} .no-go{color:#b03a00;font-weight:700} .note{color:#555}
+@media print{body{margin:0}}
+"""
+
+
+class Line(NamedTuple):
+    """One line of the page."""
+
+    part: str  # design, margins, flight, drill
+    name: str
+    verdict: str  # go, no-go, note
+    why: str
+
+
+def preflight(flight: Flight, options: Options, tell: Callable[[str], None]) -> Iterator[Line]:
+    """Every line, as soon as it is known; `tell` hears what is being done."""
+    tell("design")
+    in_air = in_the_air(flight)
+    yield from _design(check(in_air, quick=True))
+    tell("margins")
+    yield from _margins(measure(in_air))
+    tell("the flight itself")
+    summary, _ = run(flight, options, Progress())
+    if summary.log is None:
+        raise ScenarioError(summary.reason)
+    yield Line("flight", flight.scenario.name, "go" if summary.passed else "no-go", _told(summary._asdict()))
+    ground = rehearsal(flight)
+    for drill in drills(len(flight.system.m)):
+        tell(f"drill: {drill.name}, with protection and without")
+        result = compared(ground, drill, options)
+        yield Line("drill", f"{drill.name}: {drill.what}", "go" if result.holds else "no-go", result.verdict)
+
+
+def _design(c: dict[str, Any]) -> Iterator[Line]:
+    share = max(c["equilibrium"]["thrust_share"])
+    yield Line(
+        "design", "thrust at rest", "go" if share <= THRUST_SHARE else "no-go",
+        f"the most loaded vehicle needs {100 * share:.0f} % of its thrust, {100 * THRUST_SHARE:.0f} % may be needed",
+    )  # fmt: skip
+    pull = min(c["equilibrium"]["tension_N"], default=0.0)
+    yield Line(
+        "design",
+        "every cable is taut at rest",
+        "go" if pull > 0 else "no-go",
+        f"the least tension at rest is {pull:.2f} N",
+    )
+    radius = c["closed_loop"]["spectral_radius"]
+    yield Line(
+        "design", "the loop as flown is stable", "go" if radius < 1 else "no-go",
+        f"spectral radius {radius:.4f} of the sampled loop with delay and attitude response, below 1 is needed",
+    )  # fmt: skip
+    missing = c["out_of_reach"]
+    said = "; ".join(missing) if missing else "every motion of load and cables is in reach of the vehicles"
+    yield Line("design", "what forces can reach", "note" if missing else "go", said)
+    certified = c["certificate"].get("verdict", "")
+    yield Line("design", "Proposition 3", "note", str(certified) or "see: cablequad check")
+
+
+def _margins(m: dict[str, Any]) -> Iterator[Line]:
+    for row in m["margins"]:
+        measured, predicted = (margin_text(row, row[key], m["period_ms"]) for key in ("measured", "predicted"))
+        least = ASKED[row["name"]]
+        ok = row["measured"] >= least if least >= row["nominal"] else row["measured"] <= least
+        asked = margin_text(row, least, m["period_ms"])
+        why = f"stands {measured} (asked {asked}); predicted {predicted}, set by {row['bound']}"
+        yield Line("margins", row["name"], "go" if ok else "no-go", why)
+
+
+def _told(s: dict[str, Any]) -> str:
+    asked = [
+        f"{c['name']} {c['measured']:.3g} (asked {c['limit']:g})"
+        for c in s["criteria"] or []
+        if c["measured"] is not None
+    ]
+    return "; ".join([s["reason"], *asked])
+
+
+def verdict(lines: list[Line]) -> bool:
+    """Whether every line allows the flight."""
+    return all(line.verdict != "no-go" for line in lines)
+
+
+def show(name: str, lines: list[Line], console: Console) -> None:
+    """The page on a terminal."""
+    go = verdict(lines)
+    out = Table(title=f"{name}: {'GO' if go else 'NO-GO'}", title_justify="left")
+    for column in ("", "what", "", "why"):
+        out.add_column(column, overflow="fold")
+    before = ""
+    for line in lines:
+        colour = {"go": "green", "no-go": "bold red"}.get(line.verdict, "dim")
+        out.add_row(line.part if line.part != before else "", line.name, f"[{colour}]{line.verdict}[/]", line.why)
+        before = line.part
+    console.print(out)
+
+
+def page(name: str, description: str, lines: list[Line]) -> str:
+    """The page as HTML, with everything inside."""
+    go = verdict(lines)
+    rows = "".join(
+        f"<tr><td>{html.escape(line.part)}<td>{html.escape(line.name)}"
+        f"<td class='{line.verdict}'>{line.verdict}<td>{html.escape(line.why)}"
+        for line in lines
+    )
+    word = "go" if go else "no-go"
+    return (
+        f"<!doctype html><html lang=en><meta charset=utf-8><title>{html.escape(name)}: {word}</title>"
+        f"<style>{STYLE}</style>"
+        f"<h1>{html.escape(name)}: <span class='{word}'>{word.upper()}</span></h1><p>{html.escape(description)}</p>"
+        f"<table><tr><th><th>what<th><th>why</tr>{rows}</table></html>"
+    )
