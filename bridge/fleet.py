@@ -254,15 +254,22 @@ class Fleet:
             elif v.stage in (Stage.ARM, Stage.FLY):
                 self._enter(v, Stage.DISARM, now)
 
-    def lose(self, i: int, hooks: bool) -> None:
-        """Vehicle i (from 0) is given up: its motors are stopped and, where there are hooks, its cable is let go."""
+    def lose(self, i: int, hooks: bool, stop: bool) -> None:
+        """Vehicle i (from 0) is given up: where there are hooks it lets go of its cable, and it stops its motors
+
+        (`stop`) or lands by itself.
+        """
         self._lost.add(i)
         v = self._vehicles[i]
         v.stage = Stage.DONE
+        if stop:
+            end = _command(v, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0, FORCE)
+        else:
+            end = _command(v, mavlink.MAV_CMD_NAV_LAND)
         for _ in range(LOST_TWICE):  # a frame may be lost
             if hooks:
                 self._answers.append(Request(v.system, _command(v, mavlink.MAV_CMD_DO_GRIPPER, 1, 0)))
-            self._answers.append(Request(v.system, _command(v, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0, FORCE)))
+            self._answers.append(Request(v.system, end))
 
     @property
     def at_rest(self) -> bool:

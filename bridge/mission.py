@@ -36,10 +36,12 @@ SLOWLY_M = 0.12  # above the ground, from where it is set down slowly
 STANDS_M_S, PUSHED_M = 0.05, 0.05
 PAUSE_S = 1.0
 NO_FOLLOW_RAD, NO_FOLLOW_S = 0.7, 0.2
-SAGGED, CUT, CUT_M, GONE_S = 0.75, 1.06, 0.1, 0.06  # of a cable's length
+SAGGED, CUT, CUT_M, GONE_S = 0.8, 1.06, 0.1, 0.08  # of a cable's length
 FRESH_S = 0.15  # old is a vehicle's word of where it is
 CARRIES = 0.05  # of a vehicle's weight: the least that a cable must bear for a fleet that goes on
 EMERGENCY_M_S = 0.4
+HURRY = 1.6  # how much faster everything goes that brings an aborted mission down
+OFF = "its cable is off"
 
 
 class MissionPlan(NamedTuple):
@@ -50,6 +52,7 @@ class MissionPlan(NamedTuple):
     hangs: Array  # (3, 3) the load's attitude where it hangs at rest
     target: list[float]  # x, y, z (m), yaw (rad): where it is set down
     route: Callable[[list[float], list[float]], Trajectory]  # from above one place to above another
+    limits: Limits  # of a way that a script asks for
     lift_m: float
     slack: float  # of a cable's length: where vehicles hover before and after
     pretension: float  # of the share of the load's weight
@@ -121,6 +124,7 @@ class Mission:
         self.largest_tension_N = 0.0
         self.smallest_separation_m = math.inf
         self.touch_down_m_s: float | None = None
+        self.mark: tuple[float, float] | None = None  # m: where the load was to be set down last
         self._rate = 1.0  # of the plan's clock
         self._tau = 0.0  # s, the plan's clock in this phase
         self._entered = 0.0
@@ -218,7 +222,7 @@ class Mission:
         self._run_script()
         if self.phase is not None and not self.phase_done and now - self._entered > self.plan.limits_s[self.phase]:
             self._timed_out()
-        sample = self._fly(t, self._here)
+        sample = self._fly(t, self.here)
         self._last = sample
         return sample
 
@@ -235,10 +239,10 @@ class Mission:
 
     def _enter(self, phase: Phase, to: list[float] | None) -> None:
         before, self.phase = self.phase, phase
-        led = self._led()
+        led = self.led
         self.phase_done, self._entered, self._tau, self._still_since = False, self.now, 0.0, None
         self._tell("phase", "all", str(phase))
-        instant = self._here
+        instant = self.here
         match phase:
             case Phase.ARM:
                 self.fleet.may_arm = True
@@ -264,13 +268,14 @@ class Mission:
             case Phase.CARRY:
                 start = led
                 end = to if to is not None else [*self.plan.target[:2], start[2], self.plan.target[3]]
-                self._track = self.plan.route(start, end)
+                self._track = self.plan.route(start, end) if to is None else leg(start, to, self.plan.limits)
             case Phase.SET_DOWN:
                 self._touched_at = None
                 start = led
                 near = [*start[:2], min(start[2], self.plan.rest_z - SLOWLY_M), start[3]]
                 if to is not None:
                     near = [*to[:2], near[2], to[3]]
+                self.mark = near[0], near[1]
                 low = [*near[:2], self.plan.rest_z + BELOW_M, near[3]]
                 slowly = self._slow(self.plan.set_down_speed)
                 self._track = joined([leg(start, near, self._slow(self.plan.lift_speed)), leg(near, low, slowly)])
@@ -283,7 +288,7 @@ class Mission:
                 self._lasting[:] = 0.0
             case Phase.LAND:
                 self._touched_at = None
-                R0, x0 = self._here.state.R0, self._here.state.x0
+                R0, x0 = self.here.state.R0, self.here.state.x0
                 spots = x0 + self.plan.stands[self.members] @ R0.T
                 spots[:, 2] = self.plan.rest_z + self.plan.stands[self.members][:, 2]
                 limits, down = self._slow(self.plan.take_off_speed), self._slow(self.plan.set_down_speed)
@@ -319,7 +324,7 @@ class Mission:
                     self._taking = True
                 return self._taking and straight and self.now - self._hung_from >= SHARE_S
             case Phase.LIFT | Phase.CARRY:
-                end = self._led()
+                end = self.led
                 off = math.dist(i.state.x0.tolist(), end[:3])
                 return self._tau >= self._track.duration and self._rest(off, i.state.v0[None])
             case Phase.SET_DOWN:
@@ -427,7 +432,7 @@ class Mission:
     def _goals(self) -> Goals:
         """Where each vehicle is to be, while it flies by itself."""
         n = len(self.members)
-        x, v, a = self._here.x.copy(), np.zeros((n, 3)), np.zeros((n, 3))
+        x, v, a = self.here.x.copy(), np.zeros((n, 3)), np.zeros((n, 3))
         power = np.ones(n)
         match self.phase:
             case None | Phase.PREFLIGHT | Phase.ARM | Phase.DISARM:
@@ -465,10 +470,11 @@ class Mission:
         self._tau = 0.0
 
     def _slow(self, speed: float) -> Limits:
+        speed *= HURRY if self._aborted else 1.0
         return Limits(speed, max(0.3, speed), 3.0, 0.5)
 
     @property
-    def _here(self) -> Instant:
+    def here(self) -> Instant:
         """What is known of this instant."""
         assert self._heard is not None
         return self._heard
@@ -482,7 +488,7 @@ class Mission:
 
     def _ends(self) -> Array:
         """(n, 3) m: where the cables are tied to the load."""
-        s = self._here.state
+        s = self.here.state
         return s.x0 + self.design.system.rho @ s.R0.T
 
     def _above(self, share: float) -> Array:
@@ -509,10 +515,11 @@ class Mission:
         return math.atan2(turned[1, 0] - turned[0, 1], turned[0, 0] + turned[1, 1])
 
     def _pose(self) -> list[float]:
-        s = self._here.state
+        s = self.here.state
         return [*s.x0.tolist(), self._yaw(s)]
 
-    def _led(self) -> list[float]:
+    @property
+    def led(self) -> list[float]:
         """Where the reference has come to."""
         r = at(self._track, self._tau)
         return [*r.x0.tolist(), float(r.yaw[0])]
@@ -532,7 +539,7 @@ class Mission:
 
     def _stands(self, i: Instant) -> bool:
         """Whether the load has come to stand: led further down than it goes."""
-        down = self._from_load + BELOW_M if self.by_itself else self._led()[2]
+        down = self._from_load + BELOW_M if self.by_itself else self.led[2]
         low = abs(float(i.state.x0[2]) - self.plan.rest_z) < NEAR_M
         if low and self.touch_down_m_s is None and float(i.state.x0[2]) > self.plan.rest_z - 0.02:
             self.touch_down_m_s = abs(float(i.state.v0[2]))
@@ -552,13 +559,17 @@ class Mission:
 
     # -- what goes wrong -----------------------------------------------------------------------------------------------
 
+    def tensions(self, i: Instant) -> Array:
+        """(members,) N: at the load as the tracker tells, or what vehicles give beyond their weight."""
+        if self._last is None or np.isfinite(i.tension).all():
+            return i.tension
+        weight = np.outer(self.design.system.m, [0.0, 0.0, self.design.system.g])
+        return np.asarray(np.linalg.norm(self._last.A + weight, axis=1))
+
     def _look_out(self, i: Instant) -> None:
         if self.phase not in FLYING:
             return
-        tension = i.tension
-        if self._last is not None and not np.isfinite(tension).all():
-            A = self._last.A
-            tension = np.linalg.norm(A + np.outer(self.design.system.m, [0.0, 0.0, self.design.system.g]), axis=1)
+        tension = self.tensions(i)
         if self.phase in LOADED:
             self.largest_tension_N = max(self.largest_tension_N, float(np.nanmax(tension)))
         self.smallest_separation_m = min(self.smallest_separation_m, separation(i.x))
@@ -586,16 +597,15 @@ class Mission:
 
     def _look_for_losses(self, i: Instant) -> None:
         far = np.linalg.norm(i.x - self._ends(), axis=1)
-        sag = self._ends()[:, 2] - i.x[:, 2]
         for own, k in enumerate(list(self.members)):
             act_at, why = self.fleet.departed.get(k, (self.now, ""))
             wait = 0.0
             why = why if self.now >= act_at else ""
             trusted = k not in self.fleet.astray and i.x_age_s[own] < FRESH_S
             if not why and trusted and far[own] > CUT * self.loaded_length[own] + CUT_M:
-                why, wait = f"it is {far[own]:.2f} m from the load: its cable is off", GONE_S
-            elif not why and trusted and sag[own] < SAGGED * self.loaded_length[own] and not self.by_itself:
-                why, wait = "it has sunk below where its cable would hold the load", GONE_S
+                why, wait = f"it is {far[own]:.2f} m from the load: {OFF}", GONE_S
+            elif not why and trusted and far[own] < SAGGED * self.loaded_length[own] and not self.by_itself:
+                why, wait = "it is where its cable cannot hold the load", GONE_S
             elif not why and self._last is not None:
                 cosine = float(self._last.R_c[own, :, 2] @ i.state.R[own, :, 2])
                 if math.acos(min(1.0, max(-1.0, cosine))) > NO_FOLLOW_RAD:
@@ -611,20 +621,20 @@ class Mission:
         """Go on without vehicle k (from 0) where the rest can, else set down in order."""
         self.lost[k] = why
         self._tell("lost", f"vehicle {k + 1}", why)
-        self.fleet.lose(k, self.plan.hooks)
+        self.fleet.lose(k, self.plan.hooks, stop=k not in self.fleet.departed and OFF not in why)
         own = self.members.index(k)
         rest = [j for j in range(len(self.members)) if j != own]
         if not rest:
             self.failure = f"vehicle {k + 1}: {why}; nobody is left"
             return
-        x = self._here.x[rest]
+        x = self.here.x[rest]
         self.members.remove(k)
         self.changed_crew = True
         self._aim = x.copy()
         self._R_before, self._lasting = self._R_before[rest].copy(), np.zeros((len(rest), 3))
-        load_z = float(self._here.state.x0[2])
+        load_z = float(self.here.state.x0[2])
         design = self._designs.get(frozenset(self.lost))
-        off = self.plan.hooks or "cable is off" in why
+        off = self.plan.hooks or OFF in why
         self.design = design if design is not None else self.design
         carries = design is not None and off and self._can_carry(design)
         if design is None:
@@ -632,12 +642,12 @@ class Mission:
             return
         self.loaded_length = self._lengths()
         self._last = None
-        self._heard = self._here._replace(
+        self._heard = self.here._replace(
             x=x,
-            v=self._here.v[rest],
-            x_age_s=self._here.x_age_s[rest],
-            tension=self._here.tension[rest],
-            state=_of(self._here.state, rest, design),
+            v=self.here.v[rest],
+            x_age_s=self.here.x_age_s[rest],
+            tension=self.here.tension[rest],
+            state=_of(self.here.state, rest, design),
         )
         self._memory = first_memory(design)
         if carries and not self.by_itself:
@@ -646,7 +656,7 @@ class Mission:
         self._tell("crew", "all", f"{len(rest)} vehicles cannot carry the load on; they set it down")
         self.by_itself = True
         self._from, self._from_load, self._descent = x.copy(), load_z, self.now
-        hung = _static_shares(design.system, self._here.state.R0)
+        hung = _static_shares(design.system, self.here.state.R0)
         self._hang(hung, hung)
         self.abort(f"vehicle {k + 1}: {why}; the load is set down here")
         if self.phase is Phase.SET_DOWN:
@@ -661,7 +671,7 @@ class Mission:
     def _timed_out(self) -> None:
         text = f"phase {self.phase} took more than {self.plan.limits_s[self.phase]:g} s"  # type: ignore[index]
         if self.phase is Phase.PREFLIGHT:
-            text += ": " + "; ".join(self.missing(self._here))
+            text += ": " + "; ".join(self.missing(self.here))
         if self._aborted or self.phase in (Phase.SET_DOWN, Phase.RELEASE, Phase.LAND, Phase.DISARM):
             self.failure = self.failure or text
             self._tell("abort", "all", text)

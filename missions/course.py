@@ -119,11 +119,15 @@ def course_from(source: str, name: str, start: list[float], limits: Limits) -> T
         mission(course)
         return course.trajectory()
     except Exception as error:
-        frames = [f for f in traceback.extract_tb(error.__traceback__) if f.filename == name]
-        line = error.lineno if isinstance(error, SyntaxError) else frames[-1].lineno if frames else None
-        where = f"script {name}" + (f", line {line}" if line else "")
         kind = "" if isinstance(error, CourseError) else f"{type(error).__name__}: "
-        raise CourseError(f"{where}: {kind}{error}".splitlines()[0]) from None
+        raise CourseError(f"{where(name, error)}: {kind}{error}".splitlines()[0]) from None
+
+
+def where(name: str, error: Exception) -> str:
+    """Which script, and which of its lines an error is about."""
+    frames = [f for f in traceback.extract_tb(error.__traceback__) if f.filename == name]
+    line = error.lineno if isinstance(error, SyntaxError) else frames[-1].lineno if frames else None
+    return f"script {name}" + (f", line {line}" if line else "")
 
 
 def _finite(name: str, value: float) -> float:

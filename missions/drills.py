@@ -16,7 +16,10 @@ from missions.tables import CutTable, FailureTable, GroundTable, MissionTable
 HOVER_S = 2.0  # when what happens at hover happens, since the release
 TRANSIT_S = 6.0
 HOLD_S = 3.0
-LONGEST_S = 60.0
+LONGEST_S, LONGEST_BARE_S = 50.0, 35.0
+QUICK = {
+    "start": "air", "hold_s": HOLD_S, "lift_speed_m_s": 0.6, "set_down_speed_m_s": 0.25, "take_off_speed_m_s": 0.8,
+}  # fmt: skip
 CLEAR_M = 1.2  # below the lowest place of a scenario without ground
 SOFT_M_S = 0.5  # of a load that is set down in an emergency
 WORSE = 1.05  # a protection must make the harm smaller by at least this factor
@@ -48,7 +51,7 @@ def drills(n: int) -> tuple[Drill, ...]:
         return (FailureTable(kind=kind, at_s=at_s, vehicle=n, **more),)  # type: ignore[arg-type]
 
     cut = (CutTable(vehicle=n, from_s=TRANSIT_S, to_s=TRANSIT_S + 2.0),)
-    empty = one("low-battery", HOVER_S, remaining=0.15, lasts_s=12.0)
+    empty = one("low-battery", HOVER_S, remaining=0.15, lasts_s=30.0)
     return (
         Drill("rotor out", "a rotor stops while the load hangs still", one("rotor-out", HOVER_S)),
         Drill("vehicle out", "all rotors of a vehicle stop in transit", one("vehicle-out", TRANSIT_S)),
@@ -57,7 +60,7 @@ def drills(n: int) -> tuple[Drill, ...]:
         Drill("gust", "a gust of 8 m/s over 3 s in transit", one("gust", TRANSIT_S, lasts_s=3.0)),
         Drill("link cut", "nothing passes to or from a vehicle for 2 s", (), cut),
         Drill("GPS loss", "a vehicle does not know where it is for 6 s", one("gps-loss", TRANSIT_S, lasts_s=6.0)),
-        Drill("low battery", "a battery is at 15 % and empty 12 s later", empty),
+        Drill("low battery", "a battery is at 15 % and empty 30 s later", empty),
     )  # fmt: skip
 
 
@@ -67,7 +70,7 @@ def rehearsal(flight: Flight) -> Flight:
     start, target = list(s.initial.position_m), list(s.target.position_m)
     if s.mission is not None and s.mission.start == "ground":
         start[2] -= s.mission.lift_m
-    mission = (s.mission or MissionTable()).model_copy(update={"start": "air", "hold_s": HOLD_S})
+    mission = (s.mission or MissionTable()).model_copy(update=QUICK)
     ground = s.ground
     if ground is None:
         places = [start, target, *s.plan.waypoints_m, *([s.plan.centre_m] if s.plan.centre_m else [])]
@@ -103,25 +106,27 @@ def flown(flight: Flight, drill: Drill, protect: bool, options: Options) -> Summ
     name = f"{s.name}-{drill.name.replace(' ', '-').lower()}{'' if protect else '-unprotected'}"
     faults = s.faults.model_copy(update={"cuts": [*s.faults.cuts, *drill.cuts]})
     mission = s.mission.model_copy(update={"protect": protect})
-    case = changed(flight, {"name": name, "failures": list(drill.failures), "faults": faults, "mission": mission})
+    seconds = LONGEST_S if protect else LONGEST_BARE_S
+    case = changed(
+        flight,
+        {"name": name, "failures": list(drill.failures), "faults": faults, "mission": mission, "duration_s": seconds},
+    )
     return run(case, options, Progress())[0]
 
 
 def harm(s: Summary) -> float:
     """One figure for how bad a flight ended: vehicles crashed, then how hard the load hit, then how far it strayed.
 
-    10 for each vehicle that hit the ground or another; the load's speed at its first touch (m/s), 20 where it never
-    stood; and how far it was from its plan at most (m), up to 5.
+    10 for each vehicle that hit the ground or another; the load's speed at its first touch beyond what is soft (m/s),
+    20 where it never stood; and how far it was from its plan, rms and at most (m), up to 5 each.
     """
     crashed = 10.0 * (s.vehicles_crashed or 0)
-    touch = 20.0 if s.touch_down_m_s is None else s.touch_down_m_s
-    strayed = min(5.0, s.largest_tracking_error_m or 0.0)
-    return crashed + touch + strayed
+    touch = 20.0 if s.touch_down_m_s is None else max(0.0, s.touch_down_m_s - SOFT_M_S)
+    return crashed + touch + sum(min(5.0, e or 0.0) for e in (s.largest_tracking_error_m, s.rms_tracking_error_m))
 
 
-def compared(flight: Flight, drill: Drill, options: Options) -> Drilled:
-    """Fly a drill with protection and without; `flight` is a rehearsal."""
-    protected, bare = (flown(flight, drill, protect, options) for protect in (True, False))
+def compared(drill: Drill, protected: Summary, bare: Summary) -> Drilled:
+    """What a drill showed, flown with protection and without."""
     safe = _safe(protected, drill)
     better = harm(bare) > WORSE * harm(protected)
     said = f"{_ending(protected)}; without protection: {_ending(bare)}"
@@ -145,5 +150,7 @@ def _ending(s: Summary) -> str:
     )
     crashed = s.vehicles_crashed or 0
     who = "no vehicle crashed" if crashed == 0 else f"{crashed} vehicle{'s' if crashed > 1 else ''} crashed"
-    strayed = f", {s.largest_tracking_error_m:.2f} m off the plan at most" if s.largest_tracking_error_m else ""
+    strayed = ""
+    if s.largest_tracking_error_m is not None and s.rms_tracking_error_m is not None:
+        strayed = f", off the plan by {s.largest_tracking_error_m:.2f} m at most, {s.rms_tracking_error_m:.3f} m rms"
     return f"{done}; {touch}{strayed}; {who}"

@@ -17,6 +17,7 @@ from cablequad.system import without
 from cablequad.trajectory import Trajectory
 from missions import scenario as scenarios
 from missions.scenario import Flight
+from missions.script import script_from
 from missions.tracking import Standing
 
 PULL = 0.9  # of a vehicle's greatest thrust: the most that a cable may bear where nothing is said
@@ -32,6 +33,11 @@ async def usual(mission: Mission) -> None:
             await mission.begin(phase)
         if phase is Phase.LIFT:
             await mission.wait(mission.plan.hold_s)
+
+
+def script_of(flight: Flight) -> Script:
+    """What a flight's mission runs: its own script, or every phase after the other."""
+    return usual if flight.script is None else script_from(flight.script, "mission.py")
 
 
 def standing(flight: Flight) -> Standing | None:
@@ -124,8 +130,8 @@ def plan_of(flight: Flight) -> MissionPlan:
     target = [*s.target.position_m[:2], lifted, math.radians(s.target.yaw_deg)]
     limits = {phase: m.limits_s.get(phase.value, RULES[phase].limit_s) for phase in Phase}
     return MissionPlan(
-        rest, stands, hangs, target, route, m.lift_m, m.slack, m.pretension, m.lift_speed_m_s, m.set_down_speed_m_s,
-        m.take_off_speed_m_s, limits, guards(flight), np.array(m.fence_m), m.battery, m.hooks, m.protect,
+        rest, stands, hangs, target, route, scenarios.limits(s), m.lift_m, m.slack, m.pretension, m.lift_speed_m_s,
+        m.set_down_speed_m_s, m.take_off_speed_m_s, limits, guards(flight), np.array(m.fence_m), m.battery, m.hooks, m.protect,
         m.start == "air", m.hold_s,
     )  # fmt: skip
 

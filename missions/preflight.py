@@ -1,19 +1,25 @@
 """`cablequad preflight`: design, margins, the nominal flight and the drills on one page, go or no-go line by line."""
 
 import html
+import multiprocessing
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 from rich.console import Console
 from rich.table import Table
 
 from missions.check import check
-from missions.drills import compared, drills, in_the_air, rehearsal
+from missions.drills import Drill, compared, drills, flown, in_the_air, rehearsal
 from missions.margins import measure
 from missions.report import margin_text
 from missions.run import Options, Progress, run
 from missions.scenario import Flight, ScenarioError
+from missions.summary import Summary
 
+LANES = 2  # flights at a time
+PORTS = 200  # from one flight's to the next one's
 THRUST_SHARE = 0.6  # of its greatest, that a vehicle may need at rest
 ASKED = {
     "delay on top": 1.0, "loss of setpoints": 0.05, "thrust stronger": 1.1, "thrust weaker": 0.9,
@@ -38,21 +44,35 @@ class Line(NamedTuple):
 
 def preflight(flight: Flight, options: Options, tell: Callable[[str], None]) -> Iterator[Line]:
     """Every line, as soon as it is known; `tell` hears what is being done."""
+    told: list[tuple[Drill, list[Future[Summary]]]] = []
     tell("design")
     in_air = in_the_air(flight)
     yield from _design(check(in_air, quick=True))
     tell("margins")
     yield from _margins(measure(in_air))
-    tell("the flight itself")
-    summary, _ = run(flight, options, Progress())
-    if summary.log is None:
-        raise ScenarioError(summary.reason)
-    yield Line("flight", flight.scenario.name, "go" if summary.passed else "no-go", _told(summary._asdict()))
-    ground = rehearsal(flight)
-    for drill in drills(len(flight.system.m)):
-        tell(f"drill: {drill.name}, with protection and without")
-        result = compared(ground, drill, options)
-        yield Line("drill", f"{drill.name}: {drill.what}", "go" if result.holds else "no-go", result.verdict)
+    with ProcessPoolExecutor(LANES, multiprocessing.get_context("spawn")) as pool:
+        tell("the flight itself and the drills")
+        nominal = pool.submit(_nominal, flight, options)
+        ground, flights = rehearsal(flight), 0
+        for drill in drills(len(flight.system.m)):
+            pair = []
+            for protect in (True, False):
+                apart = replace(options, port_offset=options.port_offset + PORTS * (1 + flights))
+                pair.append(pool.submit(flown, ground, drill, protect, apart))
+                flights += 1
+            told.append((drill, pair))
+        summary = nominal.result()
+        if summary.log is None:
+            raise ScenarioError(summary.reason)
+        yield Line("flight", flight.scenario.name, "go" if summary.passed else "no-go", _told(summary._asdict()))
+        for drill, (protected, bare) in told:
+            tell(f"drill: {drill.name}, with protection and without")
+            result = compared(drill, protected.result(), bare.result())
+            yield Line("drill", f"{drill.name}: {drill.what}", "go" if result.holds else "no-go", result.verdict)
+
+
+def _nominal(flight: Flight, options: Options) -> Summary:
+    return run(flight, options, Progress())[0]
 
 
 def _design(c: dict[str, Any]) -> Iterator[Line]:

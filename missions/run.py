@@ -43,7 +43,7 @@ from cablequad.trajectory import at
 from logs.encode import SCHEMA_VERSION, Model
 from logs.recorder import Attachment, RecorderError
 from missions import scenario as scenarios
-from missions.mission import mission_of, standing
+from missions.mission import mission_of, script_of, standing
 from missions.scenario import Flight
 from missions.scribe import Opening, Scribe
 from missions.show import Show
@@ -165,7 +165,7 @@ def _run(flight: Flight, design: Design, options: Options, progress: Progress) -
             missed = simulator.report.missed_deadlines + simulator.report.missed_answers
         summary = summarize(
             flight.scenario.name, flight.scenario.acceptance, watch.track, outcome, timing,
-            link.counters.sent, link.counters.lost, missed, n, judged.followed, judged.grounded,
+            link.counters.sent, link.counters.lost, missed, n, judged.followed, judged.grounded, ready.mark, flight.script is not None,
         )  # fmt: skip
         wire = _wire(link, simulator, watch.tallies, timing.unread)
         taken = wire["down_lost"] + wire.get("up_lost", 0)
@@ -232,6 +232,11 @@ class _Ready(NamedTuple):
     plan: Plan | Mission
     loop: Loop
 
+    @property
+    def mark(self) -> tuple[float, float] | None:
+        """Where a mission set the load down, or meant to."""
+        return self.plan.mark if isinstance(self.plan, Mission) else None
+
 
 def _prepared(flight: Flight, design: Design, configure: bool) -> _Ready:
     s = flight.scenario
@@ -239,7 +244,7 @@ def _prepared(flight: Flight, design: Design, configure: bool) -> _Ready:
     period_s, sensing = flight.control_us * 1e-6, s.control.sensing
     fleet = Fleet(flight.airframe.max_thrust.tolist(), period_s, configure, sensing, grounded, airborne)
     if grounded:
-        return _Ready(fleet, mission_of(flight, fleet, design), loop_of(flight))
+        return _Ready(fleet, mission_of(flight, fleet, design, script_of(flight)), loop_of(flight))
     return _Ready(fleet, Plan(lambda t: at(flight.trajectory, t), s.duration_s), loop_of(flight))
 
 

@@ -27,6 +27,7 @@ from cablequad.stiffness import STABLE, stable_substep
 from cablequad.system import Cable, Payload, Quadrotor, System, box_inertia
 from cablequad.trajectory import Limits, Trajectory, along, at, circle, joined, leg, lemniscate, waypoints
 from missions.course import SETTLE_S, CourseError, course_from, course_of
+from missions.script import ScriptError, read_script, scenario_of, script_from
 from missions.tables import FaultTable, GroundTable, OneVehicleTable, RotorsTable, Scenario, TargetTable
 from sitl.firmware.parameters import arducopter_parameters, px4_parameters
 from sitl.plant import Surroundings
@@ -65,7 +66,7 @@ class Flight(NamedTuple):
     firmware: tuple[str, ...]  # the persona of each vehicle
     faults_up: tuple[Faults, ...]  # of what each vehicle receives
     faults_down: tuple[Faults, ...]  # of what each vehicle sends, and then of what the tracker sends
-    script: str | None = None  # the text of the mission script that gave the trajectory
+    script: str | None = None  # the text of the mission script that gave the trajectory, or that flies the mission
 
 
 AIR_KG_M3 = 1.225
@@ -83,7 +84,7 @@ def text(name: str) -> str:
     if name in names():
         return (resources.files("missions") / "scenarios" / f"{name}.toml").read_text(encoding="utf-8")
     path = Path(name)
-    if path.suffix != ".toml" and not path.exists():
+    if path.suffix not in (".toml", ".json") and not path.exists():
         near = difflib.get_close_matches(name, names(), 1)
         hint = f"; did you mean {near[0]}?" if near else f"; shipped: {', '.join(names())}"
         raise ScenarioError(f"scenario {name!r}: neither a shipped scenario nor a TOML file{hint}")
@@ -97,6 +98,8 @@ def text(name: str) -> str:
 def parse(source: str, name: str) -> Scenario:
     """The validated scenario. Raises ScenarioError with one line that names the key."""
     try:
+        if name.endswith(".json"):  # as it is attached to a log
+            return Scenario.model_validate_json(source)
         return Scenario.model_validate(tomllib.loads(source))
     except tomllib.TOMLDecodeError as error:
         raise ScenarioError(f"scenario {name}: not TOML: {error}") from None
@@ -115,6 +118,14 @@ def load(
 
     A script's course replaces [plan], [target] and, where no duration is given, the duration.
     """
+    program: str | None = None
+    if name.endswith(".py"):
+        try:
+            program = read_script(Path(name))
+            script_from(program, name)
+            name = scenario_of(program, name)
+        except ScriptError as error:
+            raise ScenarioError(str(error)) from None
     source = text(name)
     scenario = parse(source, name)
     changes: dict[str, Any] = {}
@@ -129,6 +140,8 @@ def load(
         scenario = scenario.model_copy(update=changes)
     try:
         flight = flight_of(scenario, source)
+        if program is not None:
+            return _programmed(flight, program)
         return flight if script is None else _by_script(flight, script, duration_s)
     except CourseError as error:
         raise ScenarioError(str(error)) from None
@@ -145,17 +158,26 @@ def restored(resolved: str, source: str, script: str | None) -> Flight:
         flight = flight_of(Scenario.model_validate_json(resolved), source)
         if script is None:
             return flight
-        start, limits = _start(flight.scenario, flight.initial, flight.system), _limits(flight.scenario)
-        return flight._replace(trajectory=course_from(script, "mission.py", start, limits), script=script)
+        if flight.scenario.mission is not None:
+            return _programmed(flight, script)
+        start, at_most = _start(flight.scenario, flight.initial, flight.system), limits(flight.scenario)
+        return flight._replace(trajectory=course_from(script, "mission.py", start, at_most), script=script)
     except ValidationError as error:
         raise ScenarioError(_explain(error)) from None
     except ValueError as error:
         raise ScenarioError(str(error)) from None
 
 
+def _programmed(flight: Flight, program: str) -> Flight:
+    """The flight with an async mission script."""
+    if flight.scenario.mission is None:
+        raise ValueError("[mission]: missing; an async script flies from the ground to the ground")
+    return flight._replace(script=program)
+
+
 def _by_script(flight: Flight, script: Path, duration_s: float | None) -> Flight:
     s = flight.scenario
-    course = course_of(script, _start(s, flight.initial, flight.system), _limits(s))
+    course = course_of(script, _start(s, flight.initial, flight.system), limits(s))
     end = at(course, course.duration)
     target = TargetTable(position_m=end.x0.tolist(), yaw_deg=math.degrees(float(end.yaw[0])))
     seconds = duration_s if duration_s is not None else math.ceil(course.duration + SETTLE_S)
@@ -393,7 +415,8 @@ def _air(s: Scenario, system: System, vehicles: list[float]) -> Air:
     return Air(density, s.payload.drag_area_m2, np.array(vehicles), links)
 
 
-def _limits(s: Scenario) -> Limits:
+def limits(s: Scenario) -> Limits:
+    """How fast the load is carried."""
     p = s.plan
     return Limits(p.speed_m_s, p.acceleration_m_s2, p.jerk_m_s3, math.radians(p.yaw_rate_deg_s))
 
@@ -412,20 +435,20 @@ def _trajectory(s: Scenario, system: System, initial: State) -> Trajectory:
 def route(s: Scenario, start: list[float], end: list[float]) -> Trajectory:
     """From x, y, z (m) and yaw (rad) to such a place by what [plan] says."""
     p = s.plan
-    limits = _limits(s)
+    at_most = limits(s)
     if p.path == "target":
-        return leg(start, end, limits)
+        return leg(start, end, at_most)
     if p.path == "waypoints":
         yaws = p.waypoint_yaws_deg or [0.0] * len(p.waypoints_m)
         between = [[*x, math.radians(yaw)] for x, yaw in zip(p.waypoints_m, yaws, strict=True)]
-        return waypoints([start, *between, end], limits, p.hold_s)
+        return waypoints([start, *between, end], at_most, p.hold_s)
     if p.path == "circle":
         curve = circle(p.centre_m or [], p.radius_m or 0.0)
     else:
         curve = lemniscate(p.centre_m or [], p.length_m or 0.0, p.width_m or 0.0)
-    laps = along(curve, p.laps, p.lap_speed_m_s, limits)
+    laps = along(curve, p.laps, p.lap_speed_m_s, at_most)
     first, last = at(laps, 0.0), at(laps, laps.duration)
-    return joined([leg(start, first.x0, limits), laps, leg(last.x0, end, limits)])
+    return joined([leg(start, first.x0, at_most), laps, leg(last.x0, end, at_most)])
 
 
 def _faults(s: Scenario) -> tuple[tuple[Faults, ...], tuple[Faults, ...]]:

@@ -215,7 +215,7 @@ class _Ledger:
         self._smallest_N = math.inf
         self._following = Following(target_m)
         self._newest: Truth | None = None
-        self._ground = None if standing is None else OnGround(standing, target_m)
+        self._ground = None if standing is None else OnGround(standing)
 
     def take(self, entry: tuple) -> None:
         """Write one entry of the bridge."""

@@ -293,7 +293,7 @@ class GuardTable(_Table):
     load_tilt_deg: Positive = 30.0
     outside_fence_m: NotNegative = 0.0
     thrust_reserve: Share = 0.05
-    state_age_s: Positive = 0.3
+    state_age_s: Positive = 0.8
     off_plan_m: Positive = 0.5
     battery: Share = 0.2
 

@@ -88,7 +88,7 @@ class Standing(NamedTuple):
 class Grounded(NamedTuple):
     """What was true of a mission from the ground."""
 
-    set_down_error_m: float  # where the load stands in the end, from its target, level
+    load_m: tuple[float, float, float]  # where the load is in the end
     touch_down_m_s: float | None  # its vertical speed right before it first stood again
     largest_tension_N: float
     smallest_separation_m: float
@@ -98,8 +98,8 @@ class Grounded(NamedTuple):
 class OnGround:
     """Figures of a load that is lifted and set down, from the truth."""
 
-    def __init__(self, ground: Standing, target_m: tuple[float, float, float]) -> None:
-        self._rest_z, self._floor_z, self._target = ground.load_z, ground.vehicle_z, target_m
+    def __init__(self, ground: Standing) -> None:
+        self._rest_z, self._floor_z = ground.load_z, ground.vehicle_z
         self._crashed: set[int] = set()
         self._lifted, self._before = False, 0.0
         self._touch: float | None = None
@@ -128,7 +128,4 @@ class OnGround:
 
     def judged(self) -> Grounded:
         """The figures so far."""
-        off = math.dist(self._last[:2], self._target[:2])
-        if self._last[2] < self._rest_z - LIFTED_M:  # it never came down
-            off = math.dist(self._last, self._target)
-        return Grounded(off, self._touch, self._tension, self._separation, len(self._crashed))
+        return Grounded(self._last, self._touch, self._tension, self._separation, len(self._crashed))

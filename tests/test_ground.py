@@ -1,0 +1,163 @@
+"""Ground under a load: what contact does to energy, where things come to rest, and what is left of a cable that is cut."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import flown, next_offset
+
+from cablequad import lie
+from cablequad.dynamics import accelerations, energy
+from cablequad.ground import Ground, advance_on, box_corners, deepest, ground, nothing, standing, stored
+from cablequad.integrate import Command, scratch
+from cablequad.rotors import Rotors, spin
+from cablequad.state import State, positions
+from cablequad.system import System, cut_off, without
+
+H = 1e-3
+FEET = np.array([(a, b, 0.1) for a in (-0.12, 0.12) for b in (-0.12, 0.12)])
+
+
+def floor(system: System, h: float = H) -> Ground:
+    return ground(system, 0.0, box_corners((0.6, 0.8, 0.2)), FEET, h)
+
+
+def dropped(system: System, state: State, seconds: float, h: float = H) -> tuple[State, np.ndarray, float]:
+    """The end state, the whole energy (J) at every step, and the deepest penetration (m) of a fall with motors off."""
+    state, g, n = state.copy(), floor(system, h), len(system.m)
+    still = Command(np.zeros(n), np.zeros((n, 3)))
+    work = scratch(system, state)
+    total, deep = [energy(system, state) + stored(system, state, g)], -np.inf
+    for _ in range(round(seconds / h)):
+        advance_on(system, state, still, h, g, nothing(system), work)
+        total.append(energy(system, state) + stored(system, state, g))
+        deep = max(deep, deepest(system, state, g))
+    return state, np.array(total), deep
+
+
+def curled(system: System, x0: tuple[float, float, float], seed: int, tilt: float) -> State:
+    rng = np.random.default_rng(seed)
+    s = State.hanging(system, x0)._replace(R0=lie.exp(tilt * rng.normal(size=3)))
+    for i in range(len(system.m)):
+        s.q[i] = s.q[i] @ lie.exp(0.3 * rng.normal(size=3)).T
+    return s.copy()
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_load_that_is_dropped_with_everything_on_it_gains_no_energy(seed: int) -> None:
+    """Load, cables and vehicles fall a metre, tilted. Measured rise above any energy before: 2e-5 J of 61 J."""
+    system = System.paper(1)
+    end, total, deep = dropped(system, curled(system, (0.0, 0.0, -1.0), seed, 0.2), 3.0)
+    rise = total - np.minimum.accumulate(total)
+    assert rise.max() < 1e-3
+    assert total[-1] < 0.5 * total[0]
+    assert deep < 0.10  # measured 0.06: a vehicle that falls from 1.7 m
+    assert np.abs(end.v0).max() < 0.01
+
+
+def test_a_cable_that_is_dropped_comes_to_lie_on_the_ground() -> None:
+    """A vehicle stands, its cable falls beside it: no energy is made, no node ends below the ground but for its sag."""
+    system = cut_off(System.paper(1), 0)
+    s = State.hanging(system, (0.0, 0.0, -0.1)).copy()
+    s.q[0] = lie.exp(np.array([1.4, 0.0, 0.0])) @ np.array([0.0, 0.0, 1.0])
+    g = ground(system, 0.0, np.zeros((1, 3)), FEET, H)
+    still, work = Command(np.zeros(1), np.zeros((1, 3))), scratch(system, s)
+    before = energy(system, s)
+    highest = before
+    for _ in range(4000):
+        advance_on(system, s, still, H, g, nothing(system), work)
+        now = energy(system, s) + stored(system, s, g)
+        assert now < highest + 1e-4
+        highest = min(highest, now)
+    heights = -positions(system, s)[0, 1:, 2]
+    assert heights.min() > -0.002
+    assert heights[-1] < 0.01
+
+
+def test_energy_lost_is_the_work_of_the_forces_from_the_ground() -> None:
+    """Work balance over an uneven start: one corner of the load and one foot begin below the ground."""
+    system = System.paper(1)
+    s = State.hanging(system, (0.0, 0.0, -0.098)).copy()
+    s = s._replace(R0=lie.exp(np.array([0.02, 0.01, 0.0]))).copy()
+    _, total, _ = dropped(system, s, 1.0)
+    assert (total - np.minimum.accumulate(total)).max() < 1e-3
+    halved = dropped(system, s, 1.0, 0.5 * H)[1]
+    assert abs(halved[-1] - total[-1]) < 0.02 * total[0]
+
+
+def test_a_box_at_rest_presses_the_ground_with_its_weight() -> None:
+    system = System.paper(1)
+    s = State.hanging(system, (0.0, 0.0, -0.101)).copy()
+    for i in range(4):
+        s.q[i] = lie.exp(np.array([1.3, 0.0, 0.7 * i])) @ np.array([0.0, 0.0, 1.0])
+    end, _, _ = dropped(system, s, 4.0)
+    assert abs(end.x0[2] + 0.1) < 0.002
+    assert (standing(system, end, floor(system)) >= 3).all()
+
+
+def test_friction_holds_what_slides_and_stops_it() -> None:
+    system = cut_off(System.paper(1), 0)
+    s = State.hanging(system, (0.0, 0.0, -0.2)).copy()
+    s = s._replace(v0=np.array([1.0, 0.0, 0.0]))
+    s.q[0] = np.array([0.0, 1.0, 0.0])
+    g = ground(system, 0.0, np.zeros((1, 3)), FEET, H)
+    still, work = Command(np.zeros(1), np.zeros((1, 3))), scratch(system, s)
+    for _ in range(3000):
+        advance_on(system, s, still, H, g, nothing(system), work)
+    assert np.abs(s.v0).max() < 0.01
+
+
+def test_what_is_left_of_a_system_weighs_what_is_left() -> None:
+    whole = System.paper(1)
+    rest, alone = without(whole, [2]), cut_off(whole, 2)
+    assert pytest.approx(whole.M_T, rel=1e-12) == rest.M_T + alone.M_T
+    s = State.hanging(alone)
+    fall = accelerations(alone, s, np.zeros((1, 3)))
+    assert fall.x0_ddot == pytest.approx([0.0, 0.0, whole.g], abs=1e-9)
+
+
+def rotors(n: int = 1, time: float = 0.0) -> Rotors:
+    return Rotors(np.full(n, 0.17), np.full(n, 0.02), np.full(n, time), np.full(n, 6.25), np.ones((n, 4)))
+
+
+def test_rotors_give_what_is_asked_within_their_limits() -> None:
+    c = Command(np.array([10.0]), np.array([[0.1, -0.05, 0.02]]))
+    asked = c.moment.copy()
+    spin(rotors(), c, np.zeros((1, 4)), H)
+    assert c.thrust == pytest.approx([10.0], abs=1e-12)
+    assert c.moment == pytest.approx(asked, abs=1e-12)
+
+
+def test_motors_that_stand_turn_nothing() -> None:
+    c = Command(np.array([0.0]), np.array([[0.1, -0.05, 0.02]]))
+    spin(rotors(), c, np.zeros((1, 4)), H)
+    assert np.abs(c.moment).max() == 0.0
+
+
+def test_rotors_follow_with_their_time_constant() -> None:
+    thrust, r = np.zeros((1, 4)), rotors(time=0.03)
+    for _ in range(30):
+        c = Command(np.array([10.0]), np.zeros((1, 3)))
+        spin(r, c, thrust, H)
+    assert c.thrust[0] == pytest.approx(10.0 * (1.0 - np.exp(-1.0)), rel=1e-9)
+
+
+def test_a_vehicle_without_one_rotor_cannot_hold_itself_level() -> None:
+    r = rotors()
+    r.works[0, 0] = 0.0
+    c = Command(np.array([8.0]), np.zeros((1, 3)))
+    spin(r, c, np.zeros((1, 4)), H)
+    assert np.abs(c.moment).max() > 0.1
+
+
+@pytest.mark.parametrize("firmware", ["px4", "arducopter"])
+def test_a_mission_goes_from_the_ground_to_the_ground(firmware: str, tmp_path: Path) -> None:
+    s = flown(
+        "ground-to-ground", "--no-replay", "--out", str(tmp_path), "--port-offset", str(next_offset()),
+        "--firmware", firmware,
+    )  # fmt: skip
+    assert s["exit_code"] == 0, s["reason"]
+    assert s["set_down_error_m"] < 0.10  # measured 0.003 to 0.01
+    assert s["touch_down_m_s"] < 0.30  # measured 0.08 to 0.10
+    assert s["vehicles_crashed"] == 0
+    assert s["min_separation_m"] > 0.5
