@@ -58,7 +58,8 @@ def layout(m: Motion) -> rrb.Blueprint:
     middle = 0.5 * (low + high)
     size = high - low
     across = np.array([1.0, 0.35, -0.5]) if size[1] >= size[0] else np.array([0.35, 1.0, -0.5])
-    floor = float(high[2]) + 0.6
+    known = m.model.get("ground_z_m")
+    floor = float(high[2]) + 0.6 if known is None else float(known)
     eye = middle + max(3.0, 1.15 * float(np.linalg.norm(size))) * across / np.linalg.norm(across)
     scene = rrb.Spatial3DView(
         origin="/world",

@@ -131,8 +131,8 @@ def plan_of(flight: Flight) -> MissionPlan:
     limits = {phase: m.limits_s.get(phase.value, RULES[phase].limit_s) for phase in Phase}
     return MissionPlan(
         rest, stands, hangs, target, route, scenarios.limits(s), m.lift_m, m.slack, m.pretension, m.lift_speed_m_s,
-        m.set_down_speed_m_s, m.take_off_speed_m_s, limits, guards(flight), np.array(m.fence_m), m.battery, m.hooks, m.protect,
-        m.start == "air", m.hold_s,
+        m.set_down_speed_m_s, m.take_off_speed_m_s, limits, guards(flight), np.array(m.fence_m), m.battery, m.hooks,
+        m.protect, m.start == "air", m.hold_s,
     )  # fmt: skip
 
 

@@ -64,6 +64,8 @@ def redecide(path: Path) -> Redecided:
         design = scenarios.design(flight)
     except ScenarioError as error:
         raise LogError(f"log {path}: its scenario does not load: {error}") from None
+    if flight.scenario.mission is not None:
+        raise LogError(f"log {path}: it is of a mission; only flights that are one plan can be decided again so far")
     return _follow(path, flight, design)
 
 

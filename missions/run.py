@@ -165,7 +165,8 @@ def _run(flight: Flight, design: Design, options: Options, progress: Progress) -
             missed = simulator.report.missed_deadlines + simulator.report.missed_answers
         summary = summarize(
             flight.scenario.name, flight.scenario.acceptance, watch.track, outcome, timing,
-            link.counters.sent, link.counters.lost, missed, n, judged.followed, judged.grounded, ready.mark, flight.script is not None,
+            link.counters.sent, link.counters.lost, missed, n, judged.followed, judged.grounded,
+            ready.mark, flight.script is not None,
         )  # fmt: skip
         wire = _wire(link, simulator, watch.tallies, timing.unread)
         taken = wire["down_lost"] + wire.get("up_lost", 0)
@@ -386,7 +387,7 @@ def _opening(flight: Flight, design: Design, options: Options) -> Opening:
         model,
         {
             "run": about,
-            "model": drawn_model(model, s.target.position_m),
+            "model": drawn_model(model, s.target.position_m, None if s.ground is None else s.ground.z_m),
             "gains": {"law": s.control.law, **{key: json.dumps(value) for key, value in gains.items()}},
         },
         [
@@ -407,7 +408,7 @@ def _model(flight: Flight, design: Design) -> Model:
     return Model(flight.system, (x, y, z), tuple(flight.airframe.max_thrust.tolist()), (w, a, b, c))
 
 
-def drawn_model(model: Model, target_m: Sequence[float]) -> dict[str, str]:
+def drawn_model(model: Model, target_m: Sequence[float], ground_z: float | None = None) -> dict[str, str]:
     """The `model` metadata record: what a replay needs to draw the system, each value as JSON."""
     system = model.system
     values = {
@@ -419,6 +420,7 @@ def drawn_model(model: Model, target_m: Sequence[float]) -> dict[str, str]:
         "max_thrust_N": list(model.max_thrust),
         "target_m": list(target_m),
         "target_quat_wxyz": list(model.target_quat_wxyz),
+        "ground_z_m": ground_z,
     }
     return {key: json.dumps(value) for key, value in values.items()}
 
