@@ -8,12 +8,12 @@ from bridge.decide import Decider
 from bridge.faults import Channel
 from bridge.fleet import COMPONENT, SYSTEM, TRACKER, Fleet, Request
 from bridge.link import Address, Link, Received, Sent
-from bridge.mission import Mission
+from bridge.mission import UNSUPPORTED, Mission
 from bridge.observe import Gate, Instant, Loop, Observer
 from bridge.phases import FLY, LOADED, PREPARE
 from bridge.thrust import ThrustScale, made_thrust_N
 from bridge.wire.messages import WireError, encode
-from bridge.wire.values import Imu, PayloadState, Timesync
+from bridge.wire.values import Command, CommandAck, Imu, PayloadState, Timesync
 from cablequad.design import Design
 from cablequad.pilot import Measurement, Memory, Sample, first_memory, tick
 from cablequad.trajectory import Reference
@@ -187,6 +187,8 @@ class _Flight:
             if frame.value is None:
                 continue
             self.fleet.feed(frame.system, frame.component, frame.value, now)
+            if isinstance(frame.value, Command) and (frame.value.system, frame.value.component) == (SYSTEM, COMPONENT):
+                self._told(frame, frame.value)
             if frame.component == (1 if frame.system != TRACKER else COMPONENT):
                 if self.decider is None:
                     self.observer.feed(frame.system, frame.value)
@@ -206,6 +208,15 @@ class _Flight:
             self.record.event(self.now_us, "release", "all", f"{what}: t = 0")
         for source, said in self.fleet.texts():
             self.record.event(self.now_us, "statustext", f"vehicle {source}", said.text)
+
+    def _told(self, frame: Received, value: Command) -> None:
+        """An operator's command to this controller: a mission obeys some, a plan none."""
+        result = UNSUPPORTED
+        if self.decider is not None:
+            result = self.decider.mission.command(value.command, value.params)
+        ack = encode(CommandAck(value.command, result, frame.system, frame.component))
+        self.link.send(frame.port, SYSTEM, COMPONENT, ack, frame.address)
+        self.link.flush()
 
     def _compare_thrust(self, i: int, imu: Imu) -> None:
         """What vehicle i's rotors give against what was asked: the accelerometer, less the pull of its cable."""

@@ -6,7 +6,7 @@ which asks for phases and waits for them.
 """
 
 import math
-from collections.abc import Callable, Coroutine, Generator, Mapping
+from collections.abc import Callable, Coroutine, Generator, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -16,6 +16,7 @@ from bridge.fleet import Fleet
 from bridge.guards import Guard, Reading, Watch, readings, separation
 from bridge.observe import Instant
 from bridge.phases import FLYING, LOADED, RULES, Phase
+from bridge.wire.dialect import mavlink
 from cablequad.design import Design
 from cablequad.estimate import Filter
 from cablequad.pilot import Measurement, Memory, Sample, first_memory, tick
@@ -25,6 +26,7 @@ from cablequad.system import System
 from cablequad.trajectory import Limits, Reference, Trajectory, at, joined, leg, still
 from cablequad.types import Array
 
+ACCEPTED, TEMPORARILY_REJECTED, UNSUPPORTED = 0, 1, 3  # MAV_RESULT
 SPIN_UP_S = 2.0
 CLEAR_M = 0.35  # straight up first, and down last
 NEAR_M, SLOW_M_S = 0.12, 0.15  # at rest where it should be
@@ -189,6 +191,18 @@ class Mission:
         self._script.close()
         self._script = self._come_down()
         self._until = None
+
+    def command(self, command: int, params: Sequence[float]) -> int:
+        """Obey a MAVLink command of an operator; the MAV_RESULT to acknowledge."""
+        if self.phase is None or self.finished:
+            return TEMPORARILY_REJECTED
+        if command == mavlink.MAV_CMD_DO_PAUSE_CONTINUE and params[0] in (0.0, 1.0):
+            (self.pause if params[0] == 0.0 else self.resume)()
+            return ACCEPTED
+        if command == mavlink.MAV_CMD_NAV_LAND:
+            self.abort("told to come down")
+            return ACCEPTED
+        return UNSUPPORTED
 
     async def _come_down(self) -> None:
         if self.phase in LOADED:

@@ -267,6 +267,30 @@ def sitl(
         fail(str(error))
 
 
+@app.command()
+def tell(
+    word: Annotated[str, typer.Argument(help="pause, resume or abort (set down here, land, disarm).")],
+    host: Annotated[str, typer.Option(help="Where the controller listens.")] = "127.0.0.1",
+    port_offset: PortOffset = 0,
+    signing_key: KeyOption = None,
+) -> None:
+    """Tell a mission that is being flown to pause, to go on, or to come down."""
+    from bridge.link import LinkError
+    from missions import tell as operator
+    from missions.keys import KeyFileError, read_key
+
+    if word not in operator.WORDS:
+        usage(f"{word!r} given; tell pause, resume or abort")
+    try:
+        key = None if signing_key is None else read_key(signing_key)
+        refused = operator.tell(word, host, port_offset, key)
+    except (LinkError, KeyFileError) as error:
+        usage(str(error))
+    if refused:
+        fail(f"{word}: {refused}")
+    print(f"{word}: obeyed")
+
+
 @app.command("signing-key")
 def signing_key(file: Annotated[Path, typer.Argument(help="The new file; only you may read it.")]) -> None:
     """Make a key for MAVLink 2 signing."""

@@ -1,11 +1,13 @@
 """Missions: phases, guards, scripts, what is lost, and drills that end worse without protection."""
 
+import json
+import time
 from importlib import resources
 from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import cablequad, flown, next_offset
+from conftest import Command, cablequad, flown, next_offset
 
 from bridge.guards import Guard, Watch, separation
 from bridge.phases import ORDER, RULES, Phase
@@ -108,6 +110,42 @@ def test_a_drill_with_protection_sets_the_load_down_softly(which: str, tmp_path:
     assert all(np.isfinite(run.columns["/control/state"][k]).all() for k in ("thrust", "attitude", "position"))
     kinds = {e.kind for e in run.events}
     assert "abort" in kinds
+
+
+def test_an_operator_pauses_resumes_and_aborts_by_command(tmp_path: Path) -> None:
+    port = str(next_offset())
+    flight = Command(
+        "fly",
+        "ground-to-ground",
+        "--speed",
+        "2",
+        "--json",
+        "--no-replay",
+        "--out",
+        str(tmp_path),
+        "--port-offset",
+        port,
+    )
+    end = time.monotonic() + 120
+    while cablequad("tell", "pause", "--port-offset", port)[0] != 0:
+        assert time.monotonic() < end
+        assert flight.process.poll() is None
+    assert cablequad("tell", "resume", "--port-offset", port)[0] == 0
+    code, out, _ = cablequad("tell", "abort", "--port-offset", port)
+    assert (code, out.strip()) == (0, "abort: obeyed")
+    code, out, _ = flight.wait()
+    assert code == 1
+    summary = json.loads(out)
+    assert "told to come down" in summary["reason"]
+    kinds = [e.kind for e in read(Path(summary["log"])).events]
+    assert {"pause", "resume", "abort"} <= set(kinds)
+
+
+def test_telling_nobody_says_so() -> None:
+    code, _, err = cablequad("tell", "pause", "--port-offset", str(next_offset()))
+    assert code == 1
+    assert "no answer" in err
+    assert cablequad("tell", "stop")[0] == 2
 
 
 def test_six_vehicles_go_on_with_five(tmp_path: Path) -> None:
