@@ -4,7 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from bridge.mission import Mission, expanded
+from bridge.crew import expanded
+from bridge.mission import Mission
 from bridge.observe import Instant, Loop, Observer
 from bridge.wire.values import CableShape, VehiclePosition
 from cablequad.attitude import Airframe

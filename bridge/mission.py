@@ -7,19 +7,20 @@ which asks for phases and waits for them.
 
 import math
 from collections.abc import Callable, Coroutine, Generator, Mapping, Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any
 
 import numpy as np
-from scipy import optimize
 
+from bridge.crew import state_of, static_shares
 from bridge.fleet import Fleet
-from bridge.guards import Guard, Reading, Watch, readings, separation
+from bridge.guards import Reading, Watch, readings, separation
+from bridge.mission_plan import MissionPlan
 from bridge.observe import Instant
 from bridge.phases import FLYING, LOADED, RULES, Phase
 from bridge.wire.dialect import mavlink
 from cablequad.design import Design
 from cablequad.estimate import Filter
-from cablequad.pilot import Measurement, Memory, Sample, first_memory, tick
+from cablequad.pilot import Measurement, Sample, first_memory, tick
 from cablequad.single import Goals, fly_each, integrated
 from cablequad.state import Error, State
 from cablequad.system import System
@@ -44,38 +45,6 @@ CARRIES = 0.05  # of a vehicle's weight: the least that a cable must bear for a 
 EMERGENCY_M_S = 0.4
 HURRY = 1.6  # how much faster everything goes that brings an aborted mission down
 OFF = "its cable is off"
-
-
-class MissionPlan(NamedTuple):
-    """What is to be done, and how."""
-
-    rest_z: float  # m: of the load, standing
-    stands: Array  # (n, 3) m, where vehicles stand, from the load, in its frame
-    hangs: Array  # (3, 3) the load's attitude where it hangs at rest
-    target: list[float]  # x, y, z (m), yaw (rad): where it is set down
-    route: Callable[[list[float], list[float]], Trajectory]  # from above one place to above another
-    limits: Limits  # of a way that a script asks for
-    lift_m: float
-    slack: float  # of a cable's length: where vehicles hover before and after
-    pretension: float  # of the share of the load's weight
-    lift_speed: float  # m/s
-    set_down_speed: float
-    take_off_speed: float
-    limits_s: Mapping[Phase, float]
-    guards: tuple[Guard, ...]
-    fence: Array  # (2, 3) m
-    battery: float  # 0 .. 1: with less no vehicle is armed
-    hooks: bool  # a vehicle can let go of its cable (MAV_CMD_DO_GRIPPER)
-    protect: bool  # False: whatever happens, carry on as planned
-    airborne: bool  # begins with a load that hangs
-    hold_s: float  # how long it hangs still before it is carried
-
-
-class Log(Protocol):
-    """Where events go."""
-
-    def __call__(self, kind: str, subject: str, text: str) -> None:
-        """One line."""
 
 
 Until = Callable[[], bool]
@@ -661,7 +630,7 @@ class Mission:
             v=self.here.v[rest],
             x_age_s=self.here.x_age_s[rest],
             tension=self.here.tension[rest],
-            state=_of(self.here.state, rest, design),
+            state=state_of(self.here.state, rest, design),
         )
         self._memory = first_memory(design)
         if carries and not self.by_itself:
@@ -670,7 +639,7 @@ class Mission:
         self._tell("crew", "all", f"{len(rest)} vehicles cannot carry the load on; they set it down")
         self.by_itself = True
         self._from, self._from_load, self._descent = x.copy(), load_z, self.now
-        hung = _static_shares(design.system, self.here.state.R0)
+        hung = static_shares(design.system, self.here.state.R0)
         self._hang(hung, hung)
         self.abort(f"vehicle {k + 1}: {why}; the load is set down here")
         if self.phase is Phase.SET_DOWN:
@@ -698,62 +667,3 @@ class Mission:
 
     def _tell(self, kind: str, subject: str, text: str) -> None:
         self.events.append((kind, subject, text))
-
-
-def _of(s: State, rest: list[int], design: Design) -> State:
-    """The members' part of a state."""
-    L = design.system.length.shape[1]
-    return State(
-        s.x0,
-        s.v0,
-        s.R0,
-        s.Omega0,
-        s.q[rest, :L].copy(),
-        s.omega[rest, :L].copy(),
-        s.R[rest].copy(),
-        s.Omega[rest].copy(),
-    )
-
-
-def _static_shares(system: System, R0: Array) -> Array:
-    """(n,) N: with what vertical pulls the vehicles bear a load that hangs as it does, none of them below zero."""
-    arms = system.rho @ R0.T
-    weight = system.m0 * system.g
-    rows = np.vstack([np.ones(len(arms)), arms[:, 0], arms[:, 1]])
-    pulls, _ = optimize.nnls(rows, np.array([weight, 0.0, 0.0]))
-    return np.asarray(pulls + (system.M_iT - system.m) * system.g)
-
-
-def expanded(sample: Sample, members: list[int], whole: Design) -> Sample:
-    """A decision for some of the vehicles as one for all; the others' parts are at rest and zero."""
-    n = len(whole.system.m)
-    if len(members) == n:
-        return sample
-    blank = first_memory(whole)
-
-    def put(into: Array, value: Array, axis: int = 0) -> Array:
-        out = into.copy()
-        at_ = (slice(None),) * axis + (members,)
-        if into.ndim - axis > 1 and value.ndim > axis + 1 and value.shape[axis + 1] != into.shape[axis + 1]:
-            out[(*at_, slice(0, value.shape[axis + 1]))] = value
-        else:
-            out[at_] = value
-        return out
-
-    hanging = State.hanging(whole.system)
-    s = sample.state
-    state = State(
-        s.x0, s.v0, s.R0, s.Omega0, put(hanging.q, s.q), put(hanging.omega, s.omega), put(hanging.R, s.R),
-        put(hanging.Omega, s.Omega),
-    )  # fmt: skip
-    m = sample.memory
-    memory = Memory(
-        put(blank.R_c, m.R_c, 1), put(0.0 * blank.f, m.f, 1), put(blank.under_way, m.under_way, 1), m.lasting, m.calm
-    )
-    D = 6 + 2 * int(whole.system.n_links.sum())
-    x, x_dot = np.zeros(D), np.zeros(D)
-    x[:6], x_dot[:6] = sample.error.x[:6], sample.error.x_dot[:6]
-    return sample._replace(
-        state=state, memory=memory, error=Error(x, x_dot), A=put(np.zeros((n, 3)), sample.A),
-        R_c=put(hanging.R, sample.R_c), f=put(np.zeros(n), sample.f), Psi=put(np.zeros(n), sample.Psi),
-    )  # fmt: skip

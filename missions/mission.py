@@ -6,7 +6,8 @@ import numpy as np
 
 from bridge.fleet import Fleet
 from bridge.guards import Guard
-from bridge.mission import Mission, MissionPlan, Script
+from bridge.mission import Mission, Script
+from bridge.mission_plan import MissionPlan
 from bridge.phases import ORDER, RULES, Phase
 from cablequad.attitude import Airframe
 from cablequad.design import Design, DesignError, sampled_law

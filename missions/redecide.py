@@ -10,11 +10,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bridge.fleet import COMPONENT, TRACKER
+from bridge.decide import Decider
+from bridge.fleet import COMPONENT, SYSTEM, TRACKER
+from bridge.mission import Mission
 from bridge.observe import Observer
-from bridge.phases import FLY
+from bridge.phases import FLY, PREPARE
 from bridge.wire.dialect import mavlink
 from bridge.wire.messages import decode
+from bridge.wire.values import Command
 from cablequad.design import Design
 from cablequad.pilot import Measurement, first_memory, tick
 from cablequad.trajectory import at
@@ -23,7 +26,7 @@ from logs.columns import columns
 from logs.reader import LogError, entries, read
 from logs.schema import cablequad_pb2 as pb
 from missions import scenario as scenarios
-from missions.run import loop_of
+from missions.run import loop_of, prepared
 from missions.scenario import Flight, ScenarioError
 
 DECISION = ("ideal_force", "thrust", "attitude", "e_x0", "e_v0", "Psi", "e_q", "e_w", "position", "link_direction")
@@ -64,9 +67,8 @@ def redecide(path: Path) -> Redecided:
         design = scenarios.design(flight)
     except ScenarioError as error:
         raise LogError(f"log {path}: its scenario does not load: {error}") from None
-    if flight.scenario.mission is not None:
-        raise LogError(f"log {path}: it is of a mission; only flights that are one plan can be decided again so far")
-    return _follow(path, flight, design)
+    follow = _follow if flight.scenario.mission is None else _follow_mission
+    return follow(path, flight, design)
 
 
 def _follow(path: Path, flight: Flight, design: Design) -> Redecided:
@@ -92,6 +94,48 @@ def _follow(path: Path, flight: Flight, design: Design) -> Redecided:
             observer.commanded(boot_ms, sample.R_c, sample.f)
             tension, age_s = instant.tension.tolist(), instant.age_ms * 1e-3
             after.append(encode.control(boot_ms * 1000, sample, tension, was.phase, age_s))
+    if not after:
+        raise LogError(f"log {path}: no decision in it")
+    return _compared(recorded, after)
+
+
+def _follow_mission(path: Path, flight: Flight, design: Design) -> Redecided:
+    """As `_follow`; a mission also decides by what its fleet has said, and when."""
+    fleet, plan, loop = prepared(flight, design, configure=True)
+    assert isinstance(plan, Mission)
+    decider = Decider(plan, loop, design)
+    run = read(path)
+    recorded = run.columns.get("/control/state", {})
+    after: list[bytes] = []
+    heard: float | None = None  # s, of frames that were not answered yet
+    for entry in entries(path):
+        if entry.topic.startswith("/mavlink/") and entry.topic.endswith("/rx"):
+            f = pb.MavlinkFrame.FromString(entry.data)
+            now = (entry.log_time - run.epoch_ns) * 1e-9
+            if heard is not None and now != heard and not after:
+                fleet.due(heard)
+            heard, value = now, _value(f)
+            if value is None:
+                continue
+            fleet.feed(f.sysid, f.compid, value, now)
+            if isinstance(value, Command) and (value.system, value.component) == (SYSTEM, COMPONENT):
+                plan.command(value.command, value.params)
+            if f.compid == (COMPONENT if f.sysid == TRACKER else 1):
+                decider.feed(f.sysid, value)
+        elif entry.topic == "/control/state":
+            was = pb.ControlState.FromString(entry.data)
+            boot_ms = was.sim_time_ns // 1_000_000
+            instant = decider.observer.estimate(boot_ms)
+            if instant is None:
+                raise LogError(f"log {path}: no state can be made of the frames before t = {was.t:.3f} s")
+            own = decider.answer(was.t, boot_ms * 1e-3, instant)
+            decider.observer.commanded(boot_ms, own.R_c, own.f)
+            fleet.observed(boot_ms * 1e-3, [0.0] * fleet.n)
+            fleet.due(boot_ms * 1e-3)
+            tension, age_s = decider.tension(instant), instant.age_ms * 1e-3
+            phase = str(plan.phase or PREPARE)
+            after.append(encode.control(boot_ms * 1000, decider.whole(own), tension, phase, age_s))
+    plan.close()
     if not after:
         raise LogError(f"log {path}: no decision in it")
     return _compared(recorded, after)

@@ -133,7 +133,7 @@ def _run(flight: Flight, design: Design, options: Options, progress: Progress) -
         progress.say("getting ready (the first start on a machine compiles the model: a minute or two)")
         _warm_up(design, flight)  # before the vehicles' clock runs: it does not wait for a compiler
         predict_once(flight)
-        ready = _prepared(flight, design, options.configure)
+        ready = prepared(flight, design, options.configure)
         if not options.connect:
             serving = Serving(
                 lockstep=math.isinf(options.speed), await_controller=True, speed=options.speed,
@@ -226,7 +226,7 @@ def loop_of(flight: Flight) -> Loop:
     )  # fmt: skip
 
 
-class _Ready(NamedTuple):
+class Ready(NamedTuple):
     """What a flight needs, made before any clock runs."""
 
     fleet: Fleet
@@ -239,20 +239,21 @@ class _Ready(NamedTuple):
         return self.plan.mark if isinstance(self.plan, Mission) else None
 
 
-def _prepared(flight: Flight, design: Design, configure: bool) -> _Ready:
+def prepared(flight: Flight, design: Design, configure: bool) -> Ready:
+    """Fleet, plan and loop of a flight."""
     s = flight.scenario
     grounded, airborne = s.mission is not None, s.mission is not None and s.mission.start == "air"
     period_s, sensing = flight.control_us * 1e-6, s.control.sensing
     fleet = Fleet(flight.airframe.max_thrust.tolist(), period_s, configure, sensing, grounded, airborne)
     if grounded:
-        return _Ready(fleet, mission_of(flight, fleet, design, script_of(flight)), loop_of(flight))
-    return _Ready(fleet, Plan(lambda t: at(flight.trajectory, t), s.duration_s), loop_of(flight))
+        return Ready(fleet, mission_of(flight, fleet, design, script_of(flight)), loop_of(flight))
+    return Ready(fleet, Plan(lambda t: at(flight.trajectory, t), s.duration_s), loop_of(flight))
 
 
 def _fly(
     flight: Flight,
     design: Design,
-    ready: _Ready,
+    ready: Ready,
     link: Link,
     watch: _Watch,
     simulator: Simulator | None,

@@ -13,6 +13,7 @@ from cablequad.integrate import Command, scratch
 from cablequad.rotors import Rotors, spin
 from cablequad.state import State, positions
 from cablequad.system import System, cut_off, without
+from missions.redecide import redecide
 
 H = 1e-3
 FEET = np.array([(a, b, 0.1) for a in (-0.12, 0.12) for b in (-0.12, 0.12)])
@@ -161,3 +162,6 @@ def test_a_mission_goes_from_the_ground_to_the_ground(firmware: str, tmp_path: P
     assert s["touch_down_m_s"] < 0.30  # measured 0.08 to 0.10
     assert s["vehicles_crashed"] == 0
     assert s["min_separation_m"] > 0.5
+    again = redecide(Path(s["log"]))
+    assert again.decisions > 2000
+    assert again.first is None, again.first
