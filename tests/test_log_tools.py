@@ -380,6 +380,6 @@ def test_the_page_on_the_log_is_what_the_schema_says() -> None:
 
 def test_a_page_of_a_run_that_did_not_end_says_so(tmp_path: Path) -> None:
     cut = tmp_path / "cut.mcap"
-    cut.write_bytes(CASE_2.read_bytes()[:-200_000])
+    cut.write_bytes(CASE_2.read_bytes()[:300_000])
     text = page.page(read(cut), {})
     assert "did not end in order" in text

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
+from bridge.phases import FLY
 from cablequad.attitude import Airframe
 from cablequad.design import Weights, sampled_law
 from cablequad.pilot import Measurement, first_memory, tick
@@ -60,7 +61,7 @@ def write(path: Path, ticks: int, epoch_ns: int = recorders.EPOCH_NS) -> Recorde
             us,
             sample,
             [1.0] * 4,
-            True,
+            FLY,
             0.004,
             difference(sample.state, motion(0.001 * k + 1e-4).state, SYSTEM.n_links),
         )
@@ -279,7 +280,7 @@ def test_a_log_without_a_simulators_truth_is_replayed_from_what_was_measured(tmp
     for k in range(100):
         state = State.hanging(SYSTEM, (0.01 * k, 0.0, 0.0))
         memory, sample = tick(memory, Measurement(0.0, state), Reference(np.zeros(3), np.zeros(3)), DESIGN)
-        out.decided(4000 * k, sample, [1.0] * 4, True)
+        out.decided(4000 * k, sample, [1.0] * 4, FLY)
     run = read(out.finish())
     m = motion_of(run)
     np.testing.assert_allclose(m.quads[-1], positions(SYSTEM, State.hanging(SYSTEM, tuple(m.x0[-1])))[:, 0], atol=1e-12)
@@ -310,7 +311,7 @@ def test_frames_for_viewers_come_from_one_source_however_the_threads_run(tmp_pat
     memory = first_memory(DESIGN)
     state = State.hanging(SYSTEM, (0.5, 0.0, 0.0))
     _, sample = tick(memory, Measurement(0.0, state), Reference(np.zeros(3), np.zeros(3)), DESIGN)
-    out.decided(4000, sample, [1.0] * 4, True)
+    out.decided(4000, sample, [1.0] * 4, FLY)
     out.truth(4000, False, motion(0.25))
     frames = [e for e in entries(out.finish()) if e.topic == "/tf"]
     assert len(frames) == 1
