@@ -312,7 +312,7 @@ class MissionTable(_Table):
     hooks: bool = True  # vehicles can let go of their cables (MAV_CMD_DO_GRIPPER)
     protect: bool = True  # guards act, losses are answered
     battery: Share = 0.3  # with less no vehicle is armed
-    fence_m: Annotated[list[Vector], Field(min_length=2, max_length=2)] = [[-50.0, -50.0, -30.0], [50.0, 50.0, 1.0]]
+    fence_m: Annotated[list[Vector], Field(min_length=2, max_length=2)] | None = None  # left out: 50 m around, 30 m up
     guards: GuardTable = GuardTable()
     limits_s: dict[Literal[
         "preflight", "arm", "take off", "tension", "lift", "carry", "set down", "release", "land", "disarm"
