@@ -40,8 +40,8 @@ class Drilled(NamedTuple):
     drill: Drill
     protected: Summary
     bare: Summary
-    holds: bool
-    verdict: str
+    verdict: str  # go, no-go, note
+    why: str
 
 
 def drills(n: int) -> tuple[Drill, ...]:
@@ -127,12 +127,15 @@ def harm(s: Summary) -> float:
 
 def compared(drill: Drill, protected: Summary, bare: Summary) -> Drilled:
     """What a drill showed, flown with protection and without."""
-    safe = _safe(protected, drill)
-    better = harm(bare) > WORSE * harm(protected)
     said = f"{_ending(protected)}; without protection: {_ending(bare)}"
-    if not better:
-        said += f" (harm {harm(protected):.2f} and {harm(bare):.2f}: the protection is not one)"
-    return Drilled(drill, protected, bare, safe and better, said)
+    if not _safe(protected, drill):
+        return Drilled(drill, protected, bare, "no-go", said)
+    if harm(bare) > WORSE * harm(protected):
+        return Drilled(drill, protected, bare, "go", said)
+    if _safe(bare, drill) and harm(protected) <= WORSE * harm(bare):
+        return Drilled(drill, protected, bare, "note", f"does no harm here, protected or not: {said}")
+    said += f" (harm {harm(protected):.2f} and {harm(bare):.2f}: the protection is not one)"
+    return Drilled(drill, protected, bare, "no-go", said)
 
 
 def _safe(s: Summary, drill: Drill) -> bool:

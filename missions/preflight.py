@@ -68,7 +68,7 @@ def preflight(flight: Flight, options: Options, tell: Callable[[str], None]) -> 
         for drill, (protected, bare) in told:
             tell(f"drill: {drill.name}, with protection and without")
             result = compared(drill, protected.result(), bare.result())
-            yield Line("drill", f"{drill.name}: {drill.what}", "go" if result.holds else "no-go", result.verdict)
+            yield Line("drill", f"{drill.name}: {drill.what}", result.verdict, result.why)
 
 
 def _nominal(flight: Flight, options: Options) -> Summary:
