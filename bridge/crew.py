@@ -3,10 +3,12 @@
 import numpy as np
 from scipy import optimize
 
+from cablequad.attitude import Airframe
 from cablequad.design import Design
+from cablequad.estimate import Filter
 from cablequad.pilot import Memory, Sample, first_memory
 from cablequad.state import Error, State
-from cablequad.system import System
+from cablequad.system import System, without
 from cablequad.types import Array
 
 
@@ -32,6 +34,41 @@ def static_shares(system: System, R0: Array) -> Array:
     rows = np.vstack([np.ones(len(arms)), arms[:, 0], arms[:, 1]])
     pulls, _ = optimize.nnls(rows, np.array([weight, 0.0, 0.0]))
     return np.asarray(pulls + (system.M_iT - system.m) * system.g)
+
+
+def bare(design: Design, rest: list[int]) -> Design:
+    """What is needed to fly the vehicles `rest` each by itself, where no law carries the load with them."""
+    n = len(design.system.m)
+    lost = [k for k in range(n) if k not in rest]
+    system = without(design.system, lost)
+    air = Airframe(*(np.ascontiguousarray(field[rest]) for field in design.airframe))
+    rows = [3 * k + a for k in rest for a in range(3)]
+    D = 6 + 2 * int(system.n_links.sum())
+    m = len(rest)
+    u = np.zeros((m, 3))
+    u[:, 2] = -system.m * system.g
+    hanging = design.hanging
+    L = system.length.shape[1]
+    return design._replace(
+        system=system, airframe=air, u_star=u,
+        K_x=np.zeros((len(rows), D)), K_xdot=np.zeros((len(rows), D)), K_phi=np.zeros((len(rows), 2 * m)),
+        K_phidot=np.zeros((len(rows), 2 * m)), K_way=np.zeros((len(rows), len(rows) * design.delay)),
+        K_lasting=np.zeros((len(rows), 6)), b1=design.b1[rest].copy(),
+        hanging=hanging._replace(
+            q=hanging.q[rest, :L].copy(), omega=hanging.omega[rest, :L].copy(), R=hanging.R[rest].copy(),
+            Omega=hanging.Omega[rest].copy(),
+        ),
+        authority=design.authority._replace(
+            least=design.authority.least[rest].copy(), most=design.authority.most[rest].copy()
+        ),
+    )  # fmt: skip
+
+
+def blind(design: Design) -> Filter:
+    """A filter of those for whom `design` is, which puts together what is seen and corrects nothing by it."""
+    system, n = design.system, len(design.system.m)
+    D = 6 + 2 * int(system.n_links.sum())
+    return Filter(system, design.airframe, design.hanging, np.zeros((2 * D + 3 * n, 6 * n)), np.zeros((n, 2, 2)))
 
 
 def expanded(sample: Sample, members: list[int], whole: Design) -> Sample:

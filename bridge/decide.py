@@ -1,23 +1,109 @@
-"""A mission's decisions from what is heard: the observer of those that carry, and what is made of its states."""
+"""Who decides in a flight: a plan that is flown from its release on, or a mission. The loop asks both the same."""
 
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from bridge.crew import expanded
-from bridge.mission import Mission
+from bridge.fleet import Fleet
+from bridge.mission import UNSUPPORTED, Mission
 from bridge.observe import Instant, Loop, Observer
+from bridge.phases import FLY, LOADED, PREPARE
+from bridge.sight import Sight
 from bridge.wire.values import CableShape, VehiclePosition
 from cablequad.attitude import Airframe
 from cablequad.design import Design
-from cablequad.pilot import Sample
+from cablequad.pilot import Measurement, Sample, first_memory, tick
 from cablequad.state import positions
+from cablequad.trajectory import Reference
 
 OLD_S = 0.2  # a vehicle's word of where it is
 
 
-class Decider:
-    """Feeds an observer of the vehicles that are not lost, and asks the mission."""
+class Plan(NamedTuple):
+    """What the load is to do, in time since the release."""
+
+    reference: Callable[[float], Reference]
+    duration: float  # s
+
+
+class Decided(NamedTuple):
+    """One decision."""
+
+    sample: Sample  # of all vehicles
+    tension: list[float]  # (n,) N at the load, as it was told
+    gaps_m: list[float]  # of each vehicle, from where its cable puts it, where that is checked
+    events: list[tuple[str, str, str]]  # what happened: kind, subject, text
+
+
+class Decider(Protocol):
+    """What the loop asks."""
+
+    observer: Observer
+
+    @property
+    def phase(self) -> str:
+        """What the flight is about now."""
+
+    @property
+    def carrying(self) -> bool:
+        """Whether all vehicles carry the load, so that what their rotors give can be told from what they feel."""
+
+    def feed(self, source: int, value: Any) -> None:
+        """Take one value of a vehicle or the tracker."""
+
+    def released(self) -> str:
+        """The time begins; what that means, in words."""
+
+    def answer(self, t: float, now: float, instant: Instant) -> Decided:
+        """The decision `t` s after the release, at `now` s of the vehicles' clock."""
+
+    def command(self, command: int, params: Sequence[float]) -> int:
+        """Obey an operator's MAVLink command; the MAV_RESULT."""
+
+    def over(self, sample: Sample | None) -> tuple[bool, str] | None:
+        """Whether it was flown to its end and how it ended; None while it goes on."""
+
+
+class PlanDecider:
+    """Flies a plan, and holds its start until the release."""
+
+    def __init__(self, plan: Plan, fleet: Fleet, loop: Loop, design: Design) -> None:
+        self.observer = Observer(loop)
+        self.carrying = True
+        self._plan, self._fleet, self._design = plan, fleet, design
+        self._memory = first_memory(design)
+
+    @property
+    def phase(self) -> str:
+        return FLY if self._fleet.flying else PREPARE
+
+    def feed(self, source: int, value: Any) -> None:
+        self.observer.feed(source, value)
+
+    def released(self) -> str:
+        self.observer.released()
+        return "every vehicle carries itself"
+
+    def answer(self, t: float, now: float, instant: Instant) -> Decided:
+        del now
+        measured = Measurement(t, instant.state, held=not self._fleet.flying)
+        self._memory, sample = tick(self._memory, measured, self._plan.reference(t), self._design)
+        self.observer.commanded(instant.boot_ms, sample.R_c, sample.f)
+        return Decided(sample, instant.tension.tolist(), instant.position_gap.tolist(), [])
+
+    def command(self, command: int, params: Sequence[float]) -> int:
+        del command, params
+        return UNSUPPORTED
+
+    def over(self, sample: Sample | None) -> tuple[bool, str] | None:
+        ended = sample is not None and self._fleet.flying and sample.t >= self._plan.duration - 1e-9
+        return (True, "plan flown to its end") if ended else None
+
+
+class MissionDecider:
+    """Flies a mission with those that are not lost: observes them alone, and makes their decisions ones for all."""
 
     def __init__(self, mission: Mission, loop: Loop, design: Design) -> None:
         self.mission = mission
@@ -29,8 +115,15 @@ class Decider:
         self._begun = False
         self._members = list(mission.members)
 
+    @property
+    def phase(self) -> str:
+        return str(self.mission.phase or PREPARE)
+
+    @property
+    def carrying(self) -> bool:
+        return not self.mission.lost and self.phase in LOADED
+
     def feed(self, source: int, value: Any) -> None:
-        """Take one value of a vehicle or the tracker."""
         number = source
         if 1 <= source <= len(self._whole.system.m):
             if source - 1 not in self._members:
@@ -44,51 +137,47 @@ class Decider:
             value = value._replace(cable=self._members.index(value.cable - 1) + 1)
         self.observer.feed(number, value)
 
-    def answer(self, t: float, now: float, instant: Instant) -> Sample:
-        """The decision for `instant`, of the vehicles that were not lost before it."""
-        old = instant.x_age_s > OLD_S
-        astray = [own for own, k in enumerate(self._members) if self._astray(k) or (old[own] and not self._slack)]
+    def released(self) -> str:
+        return "every vehicle is armed"
+
+    def answer(self, t: float, now: float, instant: Instant) -> Decided:
+        x, v, age_s = self.observer.told(instant.boot_ms)
+        astray = [
+            own for own, k in enumerate(self._members) if self._astray(k) or (age_s[own] > OLD_S and not self._slack)
+        ]
         if astray:  # where its cable says it is
-            x = instant.x.copy()
             x[astray] = positions(self.mission.design.system, instant.state)[astray, 0]
-            instant = instant._replace(x=x)
-        sample = self.mission.answer(t, now, instant)
-        if self.mission.members != self._members:
-            self._regroup()
+        tension = np.zeros(len(self._whole.system.m))
+        tension[self._members] = instant.tension
+        sight = Sight(instant.state, instant.tension, instant.age_ms * 1e-3, x, v, age_s)
+        own = self.mission.answer(t, now, sight)
+        self._follow()
+        self.observer.commanded(instant.boot_ms, own.R_c, own.f)
+        events, self.mission.events = self.mission.events, []
+        unchecked = [0.0] * len(tension)
+        return Decided(expanded(own, self._members, self._whole), tension.tolist(), unchecked, events)
+
+    def command(self, command: int, params: Sequence[float]) -> int:
+        return self.mission.command(command, params)
+
+    def over(self, sample: Sample | None) -> tuple[bool, str] | None:
+        del sample
         m = self.mission
-        slack = not m.hanging
-        if slack != self._slack or (m.released and not self._begun):
-            self._slack, self._begun = slack, m.released
-            self.observer.slack(slack)
-        return sample
-
-    def whole(self, sample: Sample) -> Sample:
-        """A decision as one for all vehicles."""
-        return expanded(sample, self._members, self._whole)
-
-    def tension(self, instant: Instant) -> list[float]:
-        """(n,) N at the load as it was told; 0 of those that are lost."""
-        out = np.zeros(len(self._whole.system.m))
-        kept = instant.tension if len(instant.tension) == len(self._members) else instant.tension[: len(self._members)]
-        out[self._members] = kept
-        return out.tolist()
-
-    def events(self) -> list[tuple[str, str, str]]:
-        """What happened since the last call: kind, subject, text."""
-        out, self.mission.events = self.mission.events, []
-        return out
+        return (m.failure is None, m.failure or "mission flown to its end") if m.finished else None
 
     def _astray(self, k: int) -> bool:
         return self.mission.plan.protect and k in self.mission.fleet.astray
 
-    def _regroup(self) -> None:
-        """An observer for those that are left; it begins with what is heard next."""
-        self._members = list(self.mission.members)
-        design = self.mission.design
-        loop, rest = self._loop, self._members
-        air = Airframe(*(field[rest].copy() for field in loop.airframe))
-        loop = loop._replace(
-            system=design.system, airframe=air, filter=self.mission.filters.get(frozenset(self.mission.lost))
-        )
-        self.observer = Observer(loop)
-        self.observer.slack(self._slack)
+    def _follow(self) -> None:
+        """Observe those that are left, as taut or as slack as things are now."""
+        m = self.mission
+        if m.members != self._members:
+            self._members = list(m.members)
+            air = Airframe(*(field[self._members].copy() for field in self._loop.airframe))
+            filter = m.filters.get(frozenset(m.lost))
+            self.observer = Observer(self._loop._replace(system=m.design.system, airframe=air, filter=filter))
+            self.observer.slack(self._slack)
+        slack = not m.hanging
+        if slack != self._slack or (m.released and not self._begun):
+            self._slack, self._begun = slack, m.released
+            self.observer.slack(slack)

@@ -5,22 +5,20 @@ it waits for is seen, and gives up after `GIVE_UP_S` with one line that names th
 judged by HEARTBEAT alone. Times are seconds of the vehicles' clock.
 """
 
-from collections.abc import Callable, Mapping
-from enum import IntEnum
-from typing import Any, NamedTuple
+from typing import Any
 
-from bridge.thrust import LinearShare, MotorCommand, ThrustLaw
+from bridge.profiles import NEEDED_STREAMS, PROFILES, STREAMS_US
+from bridge.thrust import MotorCommand, ThrustLaw
+from bridge.vehicle import ASK, RETRIES_S, TOGETHER, Request, Stage, Vehicle, because, command
 from bridge.wire.dialect import mavlink
 from bridge.wire.messages import TEXT_BYTES, attitude_target
 from bridge.wire.values import (
     IN_AIR,
     Battery,
-    Command,
     CommandAck,
     GpsFix,
     Heartbeat,
     LandedState,
-    ParamRequestRead,
     ParamSet,
     ParamValue,
     StatusText,
@@ -34,7 +32,6 @@ from cablequad.pilot import Sample
 SYSTEM, COMPONENT = 250, 191
 TRACKER = 200
 RETRY_S = 0.5
-GIVE_UP_S = 8.0
 STREAM_FIRST_S = 1.0  # setpoints flow this long before the mode is asked for
 HEARTBEAT_S = 1.0
 SILENT_S = 3.0
@@ -48,127 +45,7 @@ FIX_3D = 3
 THRUST_NOT_CLIMB = 8  # in ArduCopter's GUID_OPTIONS
 
 
-class Profile(NamedTuple):
-    """What differs between autopilots."""
-
-    name: str
-    control: tuple[str, int, tuple[float, ...]]  # the mode that obeys setpoints: name, custom_mode, DO_SET_MODE
-    hold: tuple[str, int, tuple[float, ...]]
-    parameters: tuple[str, ...]  # that decide what a setpoint means
-    arming_s: float  # that its estimator may need after boot, and some
-    law: Callable[[float, Mapping[str, float]], ThrustLaw]  # of its greatest thrust, N, and those parameters
-
-
-PROFILES = {
-    mavlink.MAV_AUTOPILOT_PX4: Profile(
-        "PX4",
-        ("OFFBOARD", 6 << 16, (1.0, 6.0)),
-        ("HOLD", 4 << 16 | 3 << 24, (1.0, 4.0, 3.0)),
-        ("THR_MDL_FAC",),
-        10.0,
-        lambda limit_N, known: MotorCommand(limit_N, known.get("THR_MDL_FAC", 0.0)),
-    ),
-    mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: Profile(
-        "ArduCopter",
-        ("GUIDED", 4, (1.0, 4.0)),
-        ("BRAKE", 17, (1.0, 17.0)),
-        ("GUID_OPTIONS", "ATC_ANGLE_BOOST"),
-        60.0,
-        lambda limit_N, known: LinearShare(limit_N, known.get("ATC_ANGLE_BOOST", 1.0) != 0.0),
-    ),
-}
-
-CONTROL_RATE = 0  # us: stands for the control period
-STOP = -1
-STREAMS_US = {
-    mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: CONTROL_RATE,
-    mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 40_000,  # a check on the tracker, not in the loop
-    mavlink.MAVLINK_MSG_ID_HIGHRES_IMU: 20_000,
-    mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET: 100_000,
-    mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: 100_000,
-    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 200_000,
-    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 200_000,
-    mavlink.MAVLINK_MSG_ID_SYS_STATUS: 1_000_000,
-    mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: 2_000_000,
-    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: 200_000,
-    mavlink.MAVLINK_MSG_ID_ATTITUDE: STOP,  # ATTITUDE_QUATERNION says the same
-    mavlink.MAVLINK_MSG_ID_ODOMETRY: STOP,
-    mavlink.MAVLINK_MSG_ID_ALTITUDE: STOP,
-    mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: STOP,
-}
-NEEDED_STREAMS = frozenset(
-    {mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION, mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED}
-)  # a vehicle that refuses one of these is not flown; of the others it may have its own mind
 _RESULTS = {1: "temporarily rejected", 2: "denied", 3: "unsupported", 4: "failed"}
-
-
-class Stage(IntEnum):
-    """How far a vehicle is; it moves on only when what the stage waits for has been seen."""
-
-    HEARTBEAT = 0
-    STREAMS = 1
-    PARAMETERS = 2
-    SETPOINTS = 3
-    CONTROL = 4
-    ARM = 5
-    FLY = 6
-    HOLD = 7
-    DISARM = 8
-    DONE = 9
-
-
-TOGETHER = frozenset({Stage.CONTROL, Stage.ARM})  # entered only when every vehicle has finished the stage before
-RETRIES_S = {Stage.ARM: 2.0}  # a refused arming is told in a STATUSTEXT each time
-
-
-class Request(NamedTuple):
-    """A value for one vehicle, or for every system (None)."""
-
-    system: int | None
-    value: Any
-
-
-class _Vehicle:
-    def __init__(self, system: int) -> None:
-        self.system = system
-        self.stage = Stage.HEARTBEAT
-        self.since = 0.0
-        self.next_try = 0.0
-        self.heartbeat: Heartbeat | None = None
-        self.heard_at = 0.0
-        self.landed = 1
-        self.battery = 1.0
-        self.streams_left = sorted(STREAMS_US, key=lambda msgid: (msgid not in NEEDED_STREAMS, msgid))
-        self.refusal = ""
-        self.text = ""  # of a STATUSTEXT that comes in chunks
-        self.profile: Profile | None = None
-        self.parameters: dict[str, float] = {}
-        self.clock_ms = -1
-
-    def missing_parameter(self) -> str | None:
-        """The next parameter that is not known yet."""
-        wanted = self.profile.parameters if self.profile is not None else ()
-        return next((name for name in wanted if name not in self.parameters), None)
-
-    def waits_for(self) -> str:
-        """What the stage waits for, in words; nothing where it waits for nobody."""
-        profile = self.profile
-        if profile is None:
-            return ""
-        return {
-            Stage.STREAMS: "its streams (SET_MESSAGE_INTERVAL)",
-            Stage.PARAMETERS: f"parameter {self.missing_parameter() or profile.parameters[0]}",
-            Stage.SETPOINTS: "a complete state of vehicles, load and cables",
-            Stage.CONTROL: f"mode {profile.control[0]}",
-            Stage.ARM: "arming",
-            Stage.HOLD: f"mode {profile.hold[0]}",
-            Stage.DISARM: "disarming",
-        }.get(self.stage, "")
-
-    def gives_up_s(self) -> float:
-        """How long the stage waits: what needs a position, as long as its estimator may take."""
-        patient = self.stage in (Stage.SETPOINTS, Stage.ARM)
-        return self.profile.arming_s if self.profile is not None and patient else GIVE_UP_S
 
 
 class Fleet:
@@ -194,7 +71,7 @@ class Fleet:
         self.n = len(max_thrust_N)
         self.failure: str | None = None
         self.released_at: float | None = None
-        self._vehicles = [_Vehicle(i + 1) for i in range(self.n)]
+        self._vehicles = [Vehicle(i + 1) for i in range(self.n)]
         self._max_thrust_N = max_thrust_N
         self._laws: list[ThrustLaw] = [MotorCommand(limit) for limit in max_thrust_N]
         self._configure = configure
@@ -225,7 +102,7 @@ class Fleet:
         return self.released_at is not None and all(v.stage is Stage.FLY for v in self._own)
 
     @property
-    def _own(self) -> list[_Vehicle]:
+    def _own(self) -> list[Vehicle]:
         """Those that are not lost."""
         return [v for v in self._vehicles if v.system - 1 not in self._lost]
 
@@ -244,7 +121,7 @@ class Fleet:
         waiting = [
             v for v in self._vehicles if v.stage < Stage.CONTROL or (v.stage is Stage.CONTROL and not self._done(v, 0))
         ]
-        return [f"vehicle {v.system} waits for {v.waits_for() or 'its first heartbeat'}{_because(v)}" for v in waiting]
+        return [f"vehicle {v.system} waits for {v.waits_for() or 'its first heartbeat'}{because(v)}" for v in waiting]
 
     def disarm(self, now: float) -> None:
         """Stop the motors of everyone, on the ground."""
@@ -263,12 +140,12 @@ class Fleet:
         v = self._vehicles[i]
         v.stage = Stage.DONE
         if stop:
-            end = _command(v, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0, FORCE)
+            end = command(v, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0, FORCE)
         else:
-            end = _command(v, mavlink.MAV_CMD_NAV_LAND)
+            end = command(v, mavlink.MAV_CMD_NAV_LAND)
         for _ in range(LOST_TWICE):  # a frame may be lost
             if hooks:
-                self._answers.append(Request(v.system, _command(v, mavlink.MAV_CMD_DO_GRIPPER, 1, 0)))
+                self._answers.append(Request(v.system, command(v, mavlink.MAV_CMD_DO_GRIPPER, 1, 0)))
             self._answers.append(Request(v.system, end))
 
     @property
@@ -345,9 +222,9 @@ class Fleet:
         for v in self._vehicles:
             self._advance(v, now)
         for v in self._vehicles:
-            if v.stage in _ASK and now >= v.next_try:
+            if v.stage in ASK and now >= v.next_try:
                 v.next_try = now + RETRIES_S.get(v.stage, RETRY_S)
-                out += [Request(v.system, value) for value in _ASK[v.stage](v, self._intervals_us)]
+                out += [Request(v.system, value) for value in ASK[v.stage](v, self._intervals_us)]
             self._watch(v, now)
         return out
 
@@ -373,17 +250,17 @@ class Fleet:
         if self.failure is None:
             self.failure = text
 
-    def _depart(self, v: _Vehicle, text: str, now: float, patience_s: float = 0.0) -> None:
+    def _depart(self, v: Vehicle, text: str, now: float, patience_s: float = 0.0) -> None:
         """A mission may go on without a vehicle that does something else; any other flight ends."""
         if self._grounded:
             self.departed.setdefault(v.system - 1, (now + patience_s, text))
         else:
             self._fail(f"vehicle {v.system} {text}")
 
-    def _enter(self, v: _Vehicle, stage: Stage, now: float) -> None:
+    def _enter(self, v: Vehicle, stage: Stage, now: float) -> None:
         v.stage, v.since, v.next_try, v.refusal = stage, now, now, ""
 
-    def _heartbeat(self, v: _Vehicle, beat: Heartbeat, now: float) -> None:
+    def _heartbeat(self, v: Vehicle, beat: Heartbeat, now: float) -> None:
         v.heartbeat = beat
         if v.profile is None:
             v.profile = PROFILES.get(beat.autopilot)
@@ -400,11 +277,11 @@ class Fleet:
         elif v.stage is Stage.FLY and beat.armed and beat.custom_mode == v.profile.control[1]:
             self.departed.pop(v.system - 1, None)
         elif v.stage is Stage.FLY and not beat.armed:
-            self._depart(v, f"disarmed in flight{_because(v)}", now)
+            self._depart(v, f"disarmed in flight{because(v)}", now)
         elif v.stage is Stage.FLY and beat.custom_mode != v.profile.control[1]:
-            self._depart(v, f"left {v.profile.control[0]}{_because(v)}", now, RETURNS_S)
+            self._depart(v, f"left {v.profile.control[0]}{because(v)}", now, RETURNS_S)
 
-    def _parameter(self, v: _Vehicle, value: ParamValue) -> None:
+    def _parameter(self, v: Vehicle, value: ParamValue) -> None:
         number = value.value
         if value.name == "GUID_OPTIONS" and not int(number) & THRUST_NOT_CLIMB:
             if not self._configure:
@@ -420,7 +297,7 @@ class Fleet:
         if v.profile is not None:
             self._laws[v.system - 1] = v.profile.law(self._max_thrust_N[v.system - 1], v.parameters)
 
-    def _clock(self, v: _Vehicle, boot_ms: int) -> None:
+    def _clock(self, v: Vehicle, boot_ms: int) -> None:
         if boot_ms < v.clock_ms - REBOOT_MS and v.stage < Stage.HOLD:
             self._fail(
                 f"vehicle {v.system} rebooted: its clock went back from {v.clock_ms / 1000:.2f} s "
@@ -428,7 +305,7 @@ class Fleet:
             )
         v.clock_ms = max(v.clock_ms, boot_ms)
 
-    def _ack(self, v: _Vehicle, ack: CommandAck) -> None:
+    def _ack(self, v: Vehicle, ack: CommandAck) -> None:
         if ack.system not in (0, SYSTEM):
             return
         if ack.command == mavlink.MAV_CMD_SET_MESSAGE_INTERVAL and v.streams_left:
@@ -441,7 +318,7 @@ class Fleet:
         elif ack.result in _RESULTS and not v.refusal:
             v.refusal = f"command {ack.command} {_RESULTS[ack.result]}"
 
-    def _done(self, v: _Vehicle, now: float) -> bool:
+    def _done(self, v: Vehicle, now: float) -> bool:
         """Whether what the vehicle's stage waits for has been seen."""
         beat = v.heartbeat
         match v.stage:
@@ -463,7 +340,7 @@ class Fleet:
             case _:
                 return False
 
-    def _advance(self, v: _Vehicle, now: float) -> None:
+    def _advance(self, v: Vehicle, now: float) -> None:
         if not self._done(v, now):
             return
         following = Stage.DONE if v.stage in (Stage.HOLD, Stage.DISARM) else Stage(v.stage + 1)
@@ -478,46 +355,13 @@ class Fleet:
         if not self._air_start and self.released_at is None and all(u.stage is Stage.FLY for u in self._vehicles):
             self.released_at = now
 
-    def _watch(self, v: _Vehicle, now: float) -> None:
+    def _watch(self, v: Vehicle, now: float) -> None:
         wait = v.waits_for()
         if wait and now - v.since > v.gives_up_s():
-            self._fail(f"vehicle {v.system}: waited {v.gives_up_s():.0f} s for {wait}{_because(v)}")
+            self._fail(f"vehicle {v.system}: waited {v.gives_up_s():.0f} s for {wait}{because(v)}")
             if v.stage in (Stage.HOLD, Stage.DISARM):
                 v.stage = Stage.DONE
         if v.stage > Stage.HEARTBEAT and v.stage is not Stage.DONE and now - v.heard_at > SILENT_S:
             self._depart(v, f"is silent since t = {v.heard_at:.2f} s of its clock", now)
             if v.stage in (Stage.HOLD, Stage.DISARM):
                 v.stage = Stage.DONE
-
-
-def _because(v: _Vehicle) -> str:
-    return f" ({v.refusal})" if v.refusal else ""
-
-
-def _command(v: _Vehicle, command: int, *params: float) -> Command:
-    p = (*params, *([0.0] * (7 - len(params))))
-    return Command(v.system, 1, command, p[:7])  # type: ignore[arg-type]
-
-
-def _ask_streams(v: _Vehicle, intervals_us: dict[int, int]) -> list[Any]:
-    msgid = v.streams_left[0]
-    return [_command(v, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, msgid, intervals_us[msgid])]
-
-
-def _ask_parameter(v: _Vehicle, _: dict[int, int]) -> list[Any]:
-    name = v.missing_parameter()
-    return [] if name is None else [ParamRequestRead(v.system, 1, name)]
-
-
-def _ask_mode(v: _Vehicle, mode: tuple[str, int, tuple[float, ...]]) -> list[Any]:
-    return [_command(v, mavlink.MAV_CMD_DO_SET_MODE, *mode[2])]
-
-
-_ASK: dict[Stage, Callable[[_Vehicle, dict[int, int]], list[Any]]] = {
-    Stage.STREAMS: _ask_streams,
-    Stage.PARAMETERS: _ask_parameter,
-    Stage.CONTROL: lambda v, _: [] if v.profile is None else _ask_mode(v, v.profile.control),
-    Stage.ARM: lambda v, _: [_command(v, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1)],
-    Stage.DISARM: lambda v, _: [_command(v, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0)],
-    Stage.HOLD: lambda v, _: [] if v.profile is None else _ask_mode(v, v.profile.hold),
-}

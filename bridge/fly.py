@@ -6,28 +6,18 @@ from typing import NamedTuple, Protocol
 
 from bridge.decide import Decider
 from bridge.faults import Channel
-from bridge.fleet import COMPONENT, SYSTEM, TRACKER, Fleet, Request
+from bridge.fleet import COMPONENT, SYSTEM, TRACKER, Fleet
 from bridge.link import Address, Link, Received, Sent
-from bridge.mission import UNSUPPORTED, Mission
-from bridge.observe import Gate, Instant, Loop, Observer
-from bridge.phases import FLY, LOADED, PREPARE
+from bridge.observe import Gate, Instant, Loop
 from bridge.thrust import ThrustScale, made_thrust_N
+from bridge.vehicle import Request
 from bridge.wire.messages import WireError, encode
 from bridge.wire.values import Command, CommandAck, Imu, PayloadState, Timesync
-from cablequad.design import Design
-from cablequad.pilot import Measurement, Memory, Sample, first_memory, tick
-from cablequad.trajectory import Reference
+from cablequad.pilot import Sample
 
 PROCESS_ANYWAY_S = 0.5  # wall clock: frames that complete no state are acted on after this long all the same
 SILENT_S = 3.0  # wall clock without a single frame
 HOLD_S = 6.0  # wall clock for the vehicles to take over at the end
-
-
-class Plan(NamedTuple):
-    """What the load is to do, in time since the release."""
-
-    reference: Callable[[float], Reference]
-    duration: float  # s
 
 
 class Outcome(NamedTuple):
@@ -76,23 +66,12 @@ class _Flight:
     """The state of one call of `fly`."""
 
     def __init__(
-        self,
-        link: Link,
-        fleet: Fleet,
-        plan: Plan | Mission,
-        design: Design,
-        loop: Loop,
-        record: Record,
-        channels: Channels,
+        self, link: Link, fleet: Fleet, decider: Decider, loop: Loop, record: Record, channels: Channels
     ) -> None:
-        self.link, self.fleet, self.design, self.record = link, fleet, design, record
-        self.plan = plan if isinstance(plan, Plan) else None
-        self.decider = Decider(plan, loop, design) if isinstance(plan, Mission) else None
+        self.link, self.fleet, self.decider, self.record = link, fleet, decider, record
         self.loop = loop
         self.gate = Gate(fleet.n, TRACKER, loop.period_ms, loop.sensing)
-        self._observer = Observer(loop)
         self.channels = channels
-        self.memory: Memory = first_memory(design)
         self.routes: dict[int, tuple[int, Address]] = {}
         self.pending: list[Received] = []
         self.now_us = 0
@@ -104,18 +83,6 @@ class _Flight:
         self.scales = [ThrustScale()] * fleet.n
         self.felt: list[tuple[int, Imu]] = []  # accelerations not yet compared with what was asked
         self.released = False
-
-    @property
-    def observer(self) -> Observer:
-        """Who puts messages together."""
-        return self._observer if self.decider is None else self.decider.observer
-
-    @property
-    def phase(self) -> str:
-        """What the flight is about now."""
-        if self.decider is not None:
-            return str(self.decider.mission.phase or PREPARE)
-        return FLY if self.fleet.flying else PREPARE
 
     @property
     def flown(self) -> float:
@@ -145,7 +112,7 @@ class _Flight:
         while boot_ms is not None:  # more than one where a tick was left open until the next began
             self.now_us = boot_ms * 1000
             self._process()
-            instant = self.observer.estimate(boot_ms)
+            instant = self.decider.observer.estimate(boot_ms)
             if instant is None:
                 tracked = max(tracked or 0, self.now_us)
             else:
@@ -190,40 +157,33 @@ class _Flight:
             if isinstance(frame.value, Command) and (frame.value.system, frame.value.component) == (SYSTEM, COMPONENT):
                 self._told(frame, frame.value)
             if frame.component == (1 if frame.system != TRACKER else COMPONENT):
-                if self.decider is None:
-                    self.observer.feed(frame.system, frame.value)
-                else:
-                    self.decider.feed(frame.system, frame.value)
+                self.decider.feed(frame.system, frame.value)
                 if isinstance(frame.value, Imu) and self.fleet.flying and frame.system <= self.fleet.n:
                     self.felt.append((frame.system - 1, frame.value))
         if frames:
             self.record.received(self.now_us, frames)
         if self.fleet.released_at is not None and not self.released:
             self.released = True
-            if self.decider is None:
-                self.observer.released()
+            what = self.decider.released()
             for channel in self.channels.values():
                 channel.released_us = self.now_us
-            what = "every vehicle carries itself" if self.decider is None else "every vehicle is armed"
             self.record.event(self.now_us, "release", "all", f"{what}: t = 0")
         for source, said in self.fleet.texts():
             self.record.event(self.now_us, "statustext", f"vehicle {source}", said.text)
 
     def _told(self, frame: Received, value: Command) -> None:
         """An operator's command to this controller: a mission obeys some, a plan none."""
-        result = UNSUPPORTED
-        if self.decider is not None:
-            result = self.decider.mission.command(value.command, value.params)
+        result = self.decider.command(value.command, value.params)
         ack = encode(CommandAck(value.command, result, frame.system, frame.component))
         self.link.send(frame.port, SYSTEM, COMPONENT, ack, frame.address)
         self.link.flush()
 
     def _compare_thrust(self, i: int, imu: Imu) -> None:
         """What vehicle i's rotors give against what was asked: the accelerometer, less the pull of its cable."""
-        if self.decider is not None and (self.decider.mission.lost or self.phase not in LOADED):
+        if not self.decider.carrying:
             return
-        told = self.observer.known(imu.boot_us // 1000)
-        acting = self.observer.acting(imu.boot_us // 1000 - 1)  # until then
+        told = self.decider.observer.known(imu.boot_us // 1000)
+        acting = self.decider.observer.acting(imu.boot_us // 1000 - 1)  # until then
         if told is None or acting is None:
             return
         state, tension = told
@@ -238,9 +198,10 @@ class _Flight:
     def _answer(self, instant: Instant, arrived: float) -> Sample:
         now = instant.boot_ms * 1e-3
         t = max(0.0, self.flown)
-        own = sample = self._decide(t, now, instant)
-        if self.decider is not None:
-            sample = self.decider.whole(own)
+        decided = self.decider.answer(t, now, instant)
+        sample = decided.sample
+        for event in decided.events:
+            self.record.event(self.now_us, *event)
         try:
             setpoints = self.fleet.setpoints(sample, instant.boot_ms)
         except WireError as error:  # nothing that is not finite goes out; the vehicles' own failsafes take over
@@ -249,25 +210,12 @@ class _Flight:
         for i, imu in self.felt:
             self._compare_thrust(i, imu)
         self.felt = []
-        self.observer.commanded(instant.boot_ms, own.R_c, own.f)
-        self.fleet.observed(now, instant.position_gap.tolist() if self.decider is None else [0.0] * self.fleet.n)
+        self.fleet.observed(now, decided.gaps_m)
         self._send(self.fleet.due(now) + setpoints)
         done = self.link.now()
-        tension = instant.tension.tolist() if self.decider is None else self.decider.tension(instant)
-        self.record.decided(self.now_us, sample, tension, self.phase, instant.age_ms * 1e-3)
+        self.record.decided(self.now_us, sample, decided.tension, self.decider.phase, instant.age_ms * 1e-3)
         self.predicted += instant.age_ms > 0 and self.fleet.flying
         self._time(instant.boot_ms, arrived, done)
-        return sample
-
-    def _decide(self, t: float, now: float, instant: Instant) -> Sample:
-        if self.decider is not None:
-            sample = self.decider.answer(t, now, instant)
-            for event in self.decider.events():
-                self.record.event(self.now_us, *event)
-            return sample
-        assert self.plan is not None
-        measured = Measurement(t, instant.state, held=not self.fleet.flying)
-        self.memory, sample = tick(self.memory, measured, self.plan.reference(t), self.design)
         return sample
 
     def _send(self, requests: list[Request]) -> None:
@@ -302,26 +250,26 @@ class _Flight:
 def fly(
     link: Link,
     fleet: Fleet,
-    plan: Plan | Mission,
-    design: Design,
+    decider: Decider,
     loop: Loop,
     record: Record,
     connect_timeout_s: float,
     watch: Callable[[str, Sample | None], str | None],
     channels: Channels,
 ) -> tuple[Outcome, Timing]:
-    """Bring the fleet up, fly the plan, leave every vehicle holding. Never raises for what vehicles or users do.
+    """Bring the fleet up, fly what `decider` decides, leave every vehicle holding.
 
+    Never raises for what vehicles or users do.
     `watch` is called after every decision with the phase and the sample (None while nothing is heard); what it returns
     ends the run with that reason. `channels` fail the frames of the systems they are for.
     """
-    flight = _Flight(link, fleet, plan, design, loop, record, channels)
+    flight = _Flight(link, fleet, decider, loop, record, channels)
     begun = link.now()
     interrupted, completed, reason = False, False, ""
     try:
         while not reason:
             sample = flight.step()
-            phase = flight.phase
+            ended = decider.over(sample)
             waiting = fleet.unheard()
             if waiting and link.now() - begun > connect_timeout_s:
                 who = ", ".join(waiting)
@@ -330,15 +278,10 @@ def fly(
                 reason = f"every vehicle is silent since t = {flight.now_us * 1e-6:.2f} s of their clock"
             elif fleet.failure is not None:
                 reason = fleet.failure
-            elif isinstance(plan, Mission):
-                if plan.finished:
-                    completed, reason = plan.failure is None, plan.failure or "mission flown to its end"
-                else:
-                    reason = watch(phase, sample) or ""
-            elif sample is not None and fleet.flying and sample.t >= plan.duration - 1e-9:
-                completed, reason = True, "plan flown to its end"
+            elif ended is not None:
+                completed, reason = ended
             else:
-                reason = watch(phase, sample) or ""
+                reason = watch(decider.phase, sample) or ""
     except KeyboardInterrupt:
         interrupted, reason = True, "interrupted by the user"
     timing = flight.timing()

@@ -58,9 +58,6 @@ class Instant(NamedTuple):
     state: State
     tension: Array  # (n,) N, of the links at the payload
     position_gap: Array  # (n,) m between a vehicle's own position and where its cable puts it; NaN where not said
-    x: Array  # (n, 3) m, W: where vehicles say they are, carried on at the speed they say; NaN before the first word
-    v: Array  # (n, 3) m/s, W
-    x_age_s: Array  # (n,) s, how old that word is
     age_ms: int  # of the newest measurement that the oldest part rests on; 0 where all is measured
 
 
@@ -204,9 +201,12 @@ class Observer:
                 hung = positions(self._loop.system, state)
                 for i, said in parts.positions.items():
                     gap[i] = math.dist(said.x.tolist(), hung[i, 0].tolist())
-        since = np.maximum(boot_ms - np.array(self._told_ms), 0)[:, None] * 1e-3
-        x = self._told_x + since * self._told_v
-        return Instant(boot_ms, state, self._tension, gap, x, self._told_v.copy(), since[:, 0], age)
+        return Instant(boot_ms, state, self._tension, gap, age)
+
+    def told(self, boot_ms: int) -> tuple[Array, Array, Array]:
+        """x (n, 3) m where vehicles said they are, carried on by v (n, 3) m/s to `boot_ms`, and its age (n,) s."""
+        since = np.maximum(boot_ms - np.array(self._told_ms), 0) * 1e-3
+        return self._told_x + since[:, None] * self._told_v, self._told_v.copy(), since
 
     def known(self, boot_ms: int) -> tuple[State, Array] | None:
         """The state and the tensions (n,) N of an instant that was measured whole."""

@@ -86,61 +86,51 @@ def _push(c: Array, friction: float, depth: float, v: Triple) -> Triple:
 
 
 @inlined
+def _corner(g: Ground, c: Array, x: Triple, v: Triple, R: Array, O: Array, r: Array) -> tuple[Triple, Triple]:
+    """Force (N, W) and moment (N m, body frame) on a body at x, v whose point r touches the ground, else zero."""
+    depth = x[2] + R[2, 0] * r[0] + R[2, 1] * r[1] + R[2, 2] * r[2] - g.z
+    if depth <= 0.0:
+        return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    spin = lie.cross_triple((O[0], O[1], O[2]), (r[0], r[1], r[2]))
+    moving = (
+        v[0] + R[0, 0] * spin[0] + R[0, 1] * spin[1] + R[0, 2] * spin[2],
+        v[1] + R[1, 0] * spin[0] + R[1, 1] * spin[1] + R[1, 2] * spin[2],
+        v[2] + R[2, 0] * spin[0] + R[2, 1] * spin[1] + R[2, 2] * spin[2],
+    )
+    f = _push(c, g.friction, depth, moving)
+    own = (
+        R[0, 0] * f[0] + R[1, 0] * f[1] + R[2, 0] * f[2],
+        R[0, 1] * f[0] + R[1, 1] * f[1] + R[2, 1] * f[2],
+        R[0, 2] * f[0] + R[1, 2] * f[1] + R[2, 2] * f[2],
+    )
+    return f, lie.cross_triple((r[0], r[1], r[2]), own)
+
+
+@inlined
 def press(system: System, at: State, g: Ground, held: Command, command: Command, s: Scratch) -> None:
     """Add what the ground does in state `at`: to s.on_vehicles, s.work, and to `held` moments into `command`."""
     work = s.work
     x, v = positions(system, at), velocities(system, at)
-    R0, O0 = at.R0, at.Omega0
     for k in range(g.corners.shape[0]):
-        r = g.corners[k]
-        depth = at.x0[2] + R0[2, 0] * r[0] + R0[2, 1] * r[1] + R0[2, 2] * r[2] - g.z
-        if depth > 0.0:
-            spin = lie.cross_triple((O0[0], O0[1], O0[2]), (r[0], r[1], r[2]))
-            moving = (
-                at.v0[0] + R0[0, 0] * spin[0] + R0[0, 1] * spin[1] + R0[0, 2] * spin[2],
-                at.v0[1] + R0[1, 0] * spin[0] + R0[1, 1] * spin[1] + R0[1, 2] * spin[2],
-                at.v0[2] + R0[2, 0] * spin[0] + R0[2, 1] * spin[1] + R0[2, 2] * spin[2],
-            )
-            f = _push(g.corner, g.friction, depth, moving)
-            own = (
-                R0[0, 0] * f[0] + R0[1, 0] * f[1] + R0[2, 0] * f[2],
-                R0[0, 1] * f[0] + R0[1, 1] * f[1] + R0[2, 1] * f[2],
-                R0[0, 2] * f[0] + R0[1, 2] * f[1] + R0[2, 2] * f[2],
-            )
-            turn = lie.cross_triple((r[0], r[1], r[2]), own)
-            for a in range(3):
-                work.on_payload[a] += f[a]
-                work.turning[a] += turn[a]
+        here, moving = (at.x0[0], at.x0[1], at.x0[2]), (at.v0[0], at.v0[1], at.v0[2])
+        f, turn = _corner(g, g.corner, here, moving, at.R0, at.Omega0, g.corners[k])
+        for a in range(3):
+            work.on_payload[a] += f[a]
+            work.turning[a] += turn[a]
     for i in range(system.m.shape[0]):
         for j in range(system.n_links[i] - 1):
-            depth = x[i, j + 1, 2] - g.z
-            if depth > 0.0:
-                f = _push(g.node[i, j], g.friction, depth, (v[i, j + 1, 0], v[i, j + 1, 1], v[i, j + 1, 2]))
-                for a in range(3):
-                    work.on_nodes[i, j, a] += f[a]
-        R, O = at.R[i], at.Omega[i]
+            moving = (v[i, j + 1, 0], v[i, j + 1, 1], v[i, j + 1, 2])
+            f = _push(g.node[i, j], g.friction, x[i, j + 1, 2] - g.z, moving)
+            for a in range(3):
+                work.on_nodes[i, j, a] += f[a]
         for a in range(3):
             command.moment[i, a] = held.moment[i, a]
         for k in range(g.feet.shape[0]):
-            r = g.feet[k]
-            depth = x[i, 0, 2] + R[2, 0] * r[0] + R[2, 1] * r[1] + R[2, 2] * r[2] - g.z
-            if depth > 0.0:
-                spin = lie.cross_triple((O[0], O[1], O[2]), (r[0], r[1], r[2]))
-                moving = (
-                    v[i, 0, 0] + R[0, 0] * spin[0] + R[0, 1] * spin[1] + R[0, 2] * spin[2],
-                    v[i, 0, 1] + R[1, 0] * spin[0] + R[1, 1] * spin[1] + R[1, 2] * spin[2],
-                    v[i, 0, 2] + R[2, 0] * spin[0] + R[2, 1] * spin[1] + R[2, 2] * spin[2],
-                )
-                f = _push(g.foot[i], g.friction, depth, moving)
-                own = (
-                    R[0, 0] * f[0] + R[1, 0] * f[1] + R[2, 0] * f[2],
-                    R[0, 1] * f[0] + R[1, 1] * f[1] + R[2, 1] * f[2],
-                    R[0, 2] * f[0] + R[1, 2] * f[1] + R[2, 2] * f[2],
-                )
-                turn = lie.cross_triple((r[0], r[1], r[2]), own)
-                for a in range(3):
-                    s.on_vehicles[i, a] += f[a]
-                    command.moment[i, a] += turn[a]
+            here, moving = (x[i, 0, 0], x[i, 0, 1], x[i, 0, 2]), (v[i, 0, 0], v[i, 0, 1], v[i, 0, 2])
+            f, turn = _corner(g, g.foot[i], here, moving, at.R[i], at.Omega[i], g.feet[k])
+            for a in range(3):
+                s.on_vehicles[i, a] += f[a]
+                command.moment[i, a] += turn[a]
 
 
 class Held(NamedTuple):

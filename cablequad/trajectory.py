@@ -96,6 +96,18 @@ def wait(point: Point, seconds: float) -> Trajectory:
     return still(point)._replace(breaks=np.array([0.0, max(seconds, 1e-3)]))
 
 
+def sink(start: Point, depth: float, speed: float) -> Trajectory:
+    """Straight down by `depth` m at a steady `speed` m/s, after a second of gathering it."""
+    gathered = 0.5 * speed
+    rest = max(depth - gathered, 1e-3) / speed
+    coefficients = np.zeros((2, 4, DEGREE + 1))
+    coefficients[:, :, -1] = _four(start)
+    coefficients[0, 2, -3] = 0.5 * speed
+    coefficients[1, 2, -1] += gathered
+    coefficients[1, 2, -2] = speed
+    return Trajectory(np.array([0.0, 1.0, 1.0 + rest]), coefficients)
+
+
 def waypoints(points: Sequence[Point], limits: Limits, hold_s: float = 0.0) -> Trajectory:
     """From point to point, at rest for `hold_s` at each."""
     parts: list[Trajectory] = []

@@ -13,13 +13,12 @@ from cablequad.attitude import Airframe
 from cablequad.design import Design, DesignError, sampled_law
 from cablequad.estimate import Filter, observer
 from cablequad.linear import EquilibriumError, equilibrium
-from cablequad.noise import Noise
 from cablequad.system import without
 from cablequad.trajectory import Trajectory
 from missions import scenario as scenarios
 from missions.scenario import Flight
 from missions.script import script_from
-from missions.tracking import Standing
+from missions.tracking import Grounded, Standing
 
 PULL = 0.9  # of a vehicle's greatest thrust: the most that a cable may bear where nothing is said
 
@@ -51,6 +50,15 @@ def standing(flight: Flight) -> Standing | None:
     return Standing(scenarios.standing_z(s, s.ground, R0), s.ground.z_m - s.vehicle.feet_m[1])
 
 
+def felt(mission: Mission) -> Grounded | None:
+    """A mission's figures as its vehicles and the tracker told them, where no simulator knows better."""
+    where = mission.load_m
+    if where is None:
+        return None
+    tension, separation = mission.largest_tension_N, mission.smallest_separation_m
+    return Grounded(where, mission.touch_down_m_s, tension, separation, None)
+
+
 def _hangs(flight: Flight) -> np.ndarray:
     try:
         return np.asarray(equilibrium(flight.system).R0)
@@ -59,56 +67,30 @@ def _hangs(flight: Flight) -> np.ndarray:
 
 
 def contingencies(flight: Flight, design: Design) -> tuple[dict[frozenset[int], Design], dict[frozenset[int], Filter]]:
-    """Designs and filters by the vehicles lost, each at most one; who cannot be spared is not among them."""
+    """Designs and filters by the vehicles lost, at most one; who cannot be spared is not among them."""
+    blur = scenarios.filter(flight)
     designs: dict[frozenset[int], Design] = {frozenset(): design}
-    filters: dict[frozenset[int], Filter] = {}
+    filters: dict[frozenset[int], Filter] = {} if blur is None else {frozenset(): blur}
     whole, s = flight.system, flight.scenario
     n = len(whole.m)
     if n == 1 or s.mission is None or not s.mission.protect:
         return designs, filters
-    blurred = not (s.control.sensing == "full" and scenarios.noise(flight) == Noise())
     period = flight.control_us * 1e-6
     for i in range(n):
         rest = [k for k in range(n) if k != i]
         system = without(whole, [i])
         air = Airframe(*(np.ascontiguousarray(field[rest]) for field in flight.airframe))
         try:
-            designs[frozenset({i})] = sampled_law(system, air, scenarios.weights(flight), period, s.control.delay_ticks)
-            if blurred:
-                filters[frozenset({i})] = observer(
-                    system, air, period, s.control.sensing, scenarios.noise(flight)
-                ).filter
-        except (DesignError, EquilibriumError, np.linalg.LinAlgError, ValueError):
-            designs[frozenset({i})] = bare_design(design, rest)
+            law = sampled_law(system, air, scenarios.weights(flight), period, s.control.delay_ticks)
+            seen = (
+                observer(system, air, period, s.control.sensing, scenarios.noise(flight)) if blur is not None else None
+            )
+        except (DesignError, EquilibriumError, np.linalg.LinAlgError):
+            continue
+        designs[frozenset({i})] = law
+        if seen is not None:
+            filters[frozenset({i})] = seen.filter
     return designs, filters
-
-
-def bare_design(design: Design, rest: list[int]) -> Design:
-    """What is needed to fly the vehicles `rest` each by itself, where no law carries the load with them."""
-    n = len(design.system.m)
-    lost = [k for k in range(n) if k not in rest]
-    system = without(design.system, lost)
-    air = Airframe(*(np.ascontiguousarray(field[rest]) for field in design.airframe))
-    rows = [3 * k + a for k in rest for a in range(3)]
-    D = 6 + 2 * int(system.n_links.sum())
-    m = len(rest)
-    u = np.zeros((m, 3))
-    u[:, 2] = -system.m * system.g
-    hanging = design.hanging
-    L = system.length.shape[1]
-    return design._replace(
-        system=system, airframe=air, u_star=u,
-        K_x=np.zeros((len(rows), D)), K_xdot=np.zeros((len(rows), D)), K_phi=np.zeros((len(rows), 2 * m)),
-        K_phidot=np.zeros((len(rows), 2 * m)), K_way=np.zeros((len(rows), len(rows) * design.delay)),
-        K_lasting=np.zeros((len(rows), 6)), b1=design.b1[rest].copy(),
-        hanging=hanging._replace(
-            q=hanging.q[rest, :L].copy(), omega=hanging.omega[rest, :L].copy(), R=hanging.R[rest].copy(),
-            Omega=hanging.Omega[rest].copy(),
-        ),
-        authority=design.authority._replace(
-            least=design.authority.least[rest].copy(), most=design.authority.most[rest].copy()
-        ),
-    )  # fmt: skip
 
 
 def plan_of(flight: Flight) -> MissionPlan:

@@ -4,17 +4,15 @@ The frames that came in are decoded and observed as in flight; only the times of
 are taken from the log. A decision is compared as it would be written.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from bridge.decide import Decider
 from bridge.fleet import COMPONENT, SYSTEM, TRACKER
-from bridge.mission import Mission
-from bridge.observe import Observer
-from bridge.phases import FLY, PREPARE
+from bridge.observe import Instant, Observer
+from bridge.phases import FLY
 from bridge.wire.dialect import mavlink
 from bridge.wire.messages import decode
 from bridge.wire.values import Command
@@ -26,7 +24,7 @@ from logs.columns import columns
 from logs.reader import LogError, entries, read
 from logs.schema import cablequad_pb2 as pb
 from missions import scenario as scenarios
-from missions.run import loop_of, prepared
+from missions.ready import loop_of, ready
 from missions.scenario import Flight, ScenarioError
 
 DECISION = ("ideal_force", "thrust", "attitude", "e_x0", "e_v0", "Psi", "e_q", "e_w", "position", "link_direction")
@@ -68,77 +66,95 @@ def redecide(path: Path) -> Redecided:
     except ScenarioError as error:
         raise LogError(f"log {path}: its scenario does not load: {error}") from None
     follow = _follow if flight.scenario.mission is None else _follow_mission
-    return follow(path, flight, design)
+    after = follow(path, flight, design)
+    if not after:
+        raise LogError(f"log {path}: no decision in it")
+    return _compared(read(path).columns.get("/control/state", {}), after)
 
 
-def _follow(path: Path, flight: Flight, design: Design) -> Redecided:
+def _follow(path: Path, flight: Flight, design: Design) -> list[bytes]:
+    """The decisions of a plan; when it flies and when it was released is taken from the log."""
     observer = Observer(loop_of(flight))
-    memory = first_memory(design)
-    recorded, after = read(path).columns.get("/control/state", {}), []
-    for entry in entries(path):
-        if entry.topic.startswith("/mavlink/") and entry.topic.endswith("/rx"):
-            f = pb.MavlinkFrame.FromString(entry.data)
-            if f.compid == (COMPONENT if f.sysid == TRACKER else 1):
-                observer.feed(f.sysid, _value(f))
-        elif entry.topic == "/event":
-            if pb.Event.FromString(entry.data).kind == "release":
-                observer.released()
-        elif entry.topic == "/control/state":
-            was = pb.ControlState.FromString(entry.data)
-            boot_ms = was.sim_time_ns // 1_000_000
-            instant = observer.estimate(boot_ms)
-            if instant is None:
-                raise LogError(f"log {path}: no state can be made of the frames before t = {was.t:.3f} s")
-            measured = Measurement(was.t, instant.state, held=was.phase != FLY)
-            memory, sample = tick(memory, measured, at(flight.trajectory, was.t), design)
-            observer.commanded(boot_ms, sample.R_c, sample.f)
-            tension, age_s = instant.tension.tolist(), instant.age_ms * 1e-3
-            after.append(encode.control(boot_ms * 1000, sample, tension, was.phase, age_s))
-    if not after:
-        raise LogError(f"log {path}: no decision in it")
-    return _compared(recorded, after)
+    memory, after = first_memory(design), []
+    for told in _told(path):
+        match told:
+            case Frame():
+                if told.own:
+                    observer.feed(told.system, told.value)
+            case pb.Event():
+                if told.kind == "release":
+                    observer.released()
+            case pb.ControlState():
+                boot_ms, instant = _instant(path, observer, told)
+                measured = Measurement(told.t, instant.state, held=told.phase != FLY)
+                memory, sample = tick(memory, measured, at(flight.trajectory, told.t), design)
+                observer.commanded(boot_ms, sample.R_c, sample.f)
+                tension, age_s = instant.tension.tolist(), instant.age_ms * 1e-3
+                after.append(encode.control(boot_ms * 1000, sample, tension, told.phase, age_s))
+    return after
 
 
-def _follow_mission(path: Path, flight: Flight, design: Design) -> Redecided:
-    """As `_follow`; a mission also decides by what its fleet has said, and when."""
-    fleet, plan, loop = prepared(flight, design, configure=True)
-    assert isinstance(plan, Mission)
-    decider = Decider(plan, loop, design)
-    run = read(path)
-    recorded = run.columns.get("/control/state", {})
+def _follow_mission(path: Path, flight: Flight, design: Design) -> list[bytes]:
+    """The decisions of a mission, which also decides by what its fleet has said, and when."""
+    fleet, decider, _, mission = ready(flight, design, configure=True)
+    assert mission is not None
     after: list[bytes] = []
-    heard: float | None = None  # s, of frames that were not answered yet
+    heard: float | None = None  # s, of frames that came before the first decision
+    for told in _told(path):
+        match told:
+            case Frame():
+                if heard is not None and told.now != heard and not after:
+                    fleet.due(heard)
+                heard = told.now
+                fleet.feed(told.system, told.component, told.value, told.now)
+                if isinstance(told.value, Command) and (told.value.system, told.value.component) == (SYSTEM, COMPONENT):
+                    decider.command(told.value.command, told.value.params)
+                if told.own:
+                    decider.feed(told.system, told.value)
+            case pb.ControlState():
+                boot_ms, instant = _instant(path, decider.observer, told)
+                decided = decider.answer(told.t, boot_ms * 1e-3, instant)
+                fleet.observed(boot_ms * 1e-3, decided.gaps_m)
+                fleet.due(boot_ms * 1e-3)
+                sample, age_s = decided.sample, instant.age_ms * 1e-3
+                after.append(encode.control(boot_ms * 1000, sample, decided.tension, decider.phase, age_s))
+    mission.close()
+    return after
+
+
+class Frame(NamedTuple):
+    """A frame that came in and made sense."""
+
+    now: float  # s, vehicles' clock
+    system: int
+    component: int
+    value: Any
+    own: bool  # of the flight controller itself, or of the tracker
+
+
+def _told(path: Path) -> Iterator[Frame | pb.Event | pb.ControlState]:
+    """What a log says that decisions go by, in its order."""
+    epoch_ns = read(path).epoch_ns
     for entry in entries(path):
         if entry.topic.startswith("/mavlink/") and entry.topic.endswith("/rx"):
             f = pb.MavlinkFrame.FromString(entry.data)
-            now = (entry.log_time - run.epoch_ns) * 1e-9
-            if heard is not None and now != heard and not after:
-                fleet.due(heard)
-            heard, value = now, _value(f)
-            if value is None:
-                continue
-            fleet.feed(f.sysid, f.compid, value, now)
-            if isinstance(value, Command) and (value.system, value.component) == (SYSTEM, COMPONENT):
-                plan.command(value.command, value.params)
-            if f.compid == (COMPONENT if f.sysid == TRACKER else 1):
-                decider.feed(f.sysid, value)
+            value = _value(f)
+            if value is not None:
+                own = f.compid == (COMPONENT if f.sysid == TRACKER else 1)
+                yield Frame((entry.log_time - epoch_ns) * 1e-9, f.sysid, f.compid, value, own)
+        elif entry.topic == "/event":
+            yield pb.Event.FromString(entry.data)
         elif entry.topic == "/control/state":
-            was = pb.ControlState.FromString(entry.data)
-            boot_ms = was.sim_time_ns // 1_000_000
-            instant = decider.observer.estimate(boot_ms)
-            if instant is None:
-                raise LogError(f"log {path}: no state can be made of the frames before t = {was.t:.3f} s")
-            own = decider.answer(was.t, boot_ms * 1e-3, instant)
-            decider.observer.commanded(boot_ms, own.R_c, own.f)
-            fleet.observed(boot_ms * 1e-3, [0.0] * fleet.n)
-            fleet.due(boot_ms * 1e-3)
-            tension, age_s = decider.tension(instant), instant.age_ms * 1e-3
-            phase = str(plan.phase or PREPARE)
-            after.append(encode.control(boot_ms * 1000, decider.whole(own), tension, phase, age_s))
-    plan.close()
-    if not after:
-        raise LogError(f"log {path}: no decision in it")
-    return _compared(recorded, after)
+            yield pb.ControlState.FromString(entry.data)
+
+
+def _instant(path: Path, observer: Observer, was: pb.ControlState) -> tuple[int, Instant]:
+    """The time stamp (ms) that a decision was made for, and what was known of it."""
+    boot_ms = was.sim_time_ns // 1_000_000
+    instant = observer.estimate(boot_ms)
+    if instant is None:
+        raise LogError(f"log {path}: no state can be made of the frames before t = {was.t:.3f} s")
+    return boot_ms, instant
 
 
 def _value(f: Any) -> Any:

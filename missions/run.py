@@ -4,27 +4,21 @@ import gc
 import json
 import math
 import os
-import platform
 import signal
-import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib import metadata as packages
 from pathlib import Path
 from types import FrameType
-from typing import NamedTuple
 
 import numpy as np
 
 from bridge.faults import Channel, Tally, generator
-from bridge.fleet import TRACKER, Fleet
-from bridge.fly import Outcome, Plan, Timing, fly
+from bridge.fleet import TRACKER
+from bridge.fly import Outcome, Timing, fly
 from bridge.link import Endpoint, Link, LinkError, Received
-from bridge.mission import Mission
-from bridge.observe import Loop
 from bridge.phases import CARRIED, FLY
 from bridge.ports import TRACKER_PORTS, vehicle_ports
 from bridge.wire.frames import Signer
@@ -40,12 +34,13 @@ from cablequad.reach import reach
 from cablequad.single import Goals, fly_each, integrated
 from cablequad.state import positions
 from cablequad.trajectory import at
-from logs.encode import SCHEMA_VERSION, Model
-from logs.recorder import Attachment, RecorderError
+from logs.recorder import RecorderError
 from missions import scenario as scenarios
-from missions.mission import mission_of, script_of, standing
+from missions.mission import felt
+from missions.opening import opening
+from missions.ready import Ready, ready
 from missions.scenario import Flight
-from missions.scribe import Opening, Scribe
+from missions.scribe import Scribe
 from missions.show import Show
 from missions.simulate import Serving, Simulator, few_collections, pin, settings
 from missions.summary import Summary, Track, summarize
@@ -126,14 +121,16 @@ def _run(flight: Flight, design: Design, options: Options, progress: Progress) -
     before, thresholds = sys.getswitchinterval(), gc.get_threshold()
     show: Show | None = None
     try:
-        opening = _opening(flight, design, options)
-        scribe = Scribe(opening)
+        beginning = opening(
+            flight, design, options.out, math.isinf(options.speed) and not options.connect, bool(options.connect)
+        )
+        scribe = Scribe(beginning)
         if options.live:
-            show = Show(opening.path)
+            show = Show(beginning.path)
         progress.say("getting ready (the first start on a machine compiles the model: a minute or two)")
         _warm_up(design, flight)  # before the vehicles' clock runs: it does not wait for a compiler
         predict_once(flight)
-        ready = prepared(flight, design, options.configure)
+        prepared = ready(flight, design, options.configure)
         if not options.connect:
             serving = Serving(
                 lockstep=math.isinf(options.speed), await_controller=True, speed=options.speed,
@@ -152,7 +149,7 @@ def _run(flight: Flight, design: Design, options: Options, progress: Progress) -
                 timing = NO_TIME
             else:
                 few_collections()
-                outcome, timing = _fly(flight, design, ready, link, watch, simulator, interrupted, progress)
+                outcome, timing = _fly(flight, prepared, link, watch, simulator, interrupted, progress)
         if simulator is not None:
             simulator.stop()
             while after := link.poll(0.0):  # what was still on its way is counted too
@@ -163,10 +160,14 @@ def _run(flight: Flight, design: Design, options: Options, progress: Progress) -
         missed = 0
         if simulator is not None and simulator.report is not None:
             missed = simulator.report.missed_deadlines + simulator.report.missed_answers
+        mission = prepared.mission
+        grounded, mark = judged.grounded, None
+        if mission is not None:
+            grounded, mark = grounded or felt(mission), mission.mark
         summary = summarize(
             flight.scenario.name, flight.scenario.acceptance, watch.track, outcome, timing,
-            link.counters.sent, link.counters.lost, missed, n, judged.followed, judged.grounded,
-            ready.mark, flight.script is not None,
+            link.counters.sent, link.counters.lost, missed, n, judged.followed, grounded, mark,
+            flight.script is not None,
         )  # fmt: skip
         wire = _wire(link, simulator, watch.tallies, timing.unread)
         taken = wire["down_lost"] + wire.get("up_lost", 0)
@@ -216,44 +217,9 @@ def _wire(link: Link, simulator: Simulator | None, tallies: list[Tally], unread:
     }  # fmt: skip
 
 
-def loop_of(flight: Flight) -> Loop:
-    """What the observer of a flight is told of its loop."""
-    c = flight.scenario.control
-    period_ms = flight.control_us // 1000
-    return Loop(
-        flight.system, flight.airframe, period_ms, c.delay_ticks * period_ms, flight.physics_us * 1e-6,
-        scenarios.filter(flight), c.sensing,
-    )  # fmt: skip
-
-
-class Ready(NamedTuple):
-    """What a flight needs, made before any clock runs."""
-
-    fleet: Fleet
-    plan: Plan | Mission
-    loop: Loop
-
-    @property
-    def mark(self) -> tuple[float, float] | None:
-        """Where a mission set the load down, or meant to."""
-        return self.plan.mark if isinstance(self.plan, Mission) else None
-
-
-def prepared(flight: Flight, design: Design, configure: bool) -> Ready:
-    """Fleet, plan and loop of a flight."""
-    s = flight.scenario
-    grounded, airborne = s.mission is not None, s.mission is not None and s.mission.start == "air"
-    period_s, sensing = flight.control_us * 1e-6, s.control.sensing
-    fleet = Fleet(flight.airframe.max_thrust.tolist(), period_s, configure, sensing, grounded, airborne)
-    if grounded:
-        return Ready(fleet, mission_of(flight, fleet, design, script_of(flight)), loop_of(flight))
-    return Ready(fleet, Plan(lambda t: at(flight.trajectory, t), s.duration_s), loop_of(flight))
-
-
 def _fly(
     flight: Flight,
-    design: Design,
-    ready: Ready,
+    prepared: Ready,
     link: Link,
     watch: _Watch,
     simulator: Simulator | None,
@@ -261,8 +227,7 @@ def _fly(
     progress: Progress,
 ) -> tuple[Outcome, Timing]:
     s = flight.scenario
-    fleet, plan, loop = ready
-    grounded = isinstance(plan, Mission)
+    fleet, mission = prepared.fleet, prepared.mission
     channels = {
         (TRACKER if i == len(flight.firmware) else i + 1): Channel[Received](faults, generator(s.seed, i + 1, up=False))
         for i, faults in enumerate(flight.faults_down)
@@ -277,19 +242,19 @@ def _fly(
             return watch.scribe.error
         if simulator is not None and simulator.failure is not None:
             return simulator.failure
-        if sample is not None and (phase == FLY or (grounded and fleet.released_at is not None)):
+        if sample is not None and (phase == FLY or (mission is not None and fleet.released_at is not None)):
             now = time.monotonic()
             if not started:
                 started.append(now)
             error = math.hypot(*sample.error.x[:3].tolist())
             progress.flown(sample.t, s.duration_s, error, sample.t / max(1e-9, now - started[0]))
-            if grounded and sample.t > s.duration_s:
+            if mission is not None and sample.t > s.duration_s:
                 return f"the mission is not over after {s.duration_s:g} s (duration_s), in phase {phase}"
         return None
 
-    outcome, timing = fly(link, fleet, plan, design, loop, watch, s.link.connect_timeout_s, look, channels)
-    if isinstance(plan, Mission):
-        plan.close()
+    outcome, timing = fly(link, fleet, prepared.decider, prepared.loop, watch, s.link.connect_timeout_s, look, channels)
+    if mission is not None:
+        mission.close()
     watch.tallies = [channel.tally for channel in channels.values()]
     return outcome._replace(interrupted=outcome.interrupted or interrupted()), timing
 
@@ -353,89 +318,6 @@ def _interrupts() -> Iterator[Callable[[], bool]]:
     finally:
         for number, handler in old.items():
             signal.signal(number, handler)
-
-
-def _opening(flight: Flight, design: Design, options: Options) -> Opening:
-    s = flight.scenario
-    try:
-        options.out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise RecorderError(f"folder {options.out}: {error.strerror}; choose another with --out") from None
-    stamp = time.strftime("%Y%m%d-%H%M%S")
-    path = options.out / f"{s.name}-{stamp}.mcap"
-    serial = 1
-    while path.exists() or path.with_name(path.name + ".part").exists():
-        serial += 1
-        path = options.out / f"{s.name}-{stamp}-{serial}.mcap"
-    model = _model(flight, design)
-    about = {
-        "scenario": s.name,
-        "seed": str(s.seed),
-        "started": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
-        "cablequad": packages.version("cablequad"),
-        "schema_version": str(SCHEMA_VERSION),
-        "python": platform.python_version(),
-        "git_commit": _commit(),
-        "time": "vehicles' clock" + (" in lockstep" if math.isinf(options.speed) and not options.connect else ""),
-        "frame": "NED world, FRD bodies",
-        "quaternion_order": "wxyz",
-        "units": "SI",
-        "vehicles": "connected" if options.connect else "built-in",
-    }
-    gains = {"K_x": design.K_x.tolist(), "K_xdot": design.K_xdot.tolist(), "u_star": design.u_star.tolist()}
-    return Opening(
-        path,
-        model,
-        {
-            "run": about,
-            "model": drawn_model(model, s.target.position_m, None if s.ground is None else s.ground.z_m),
-            "gains": {"law": s.control.law, **{key: json.dumps(value) for key, value in gains.items()}},
-        },
-        [
-            Attachment("scenario.toml", "application/toml", flight.source.encode()),
-            Attachment("scenario.json", "application/json", s.model_dump_json(indent=1).encode()),
-            *([Attachment("mission.py", "text/x-python", flight.script.encode())] if flight.script else []),
-        ],
-        s.epoch_s * 10**9,
-        with_truth=not options.connect,
-        standing=standing(flight),
-        target_m=(float(s.target.position_m[0]), float(s.target.position_m[1]), float(s.target.position_m[2])),
-    )
-
-
-def _model(flight: Flight, design: Design) -> Model:
-    x, y, z = flight.scenario.payload.box_m
-    w, a, b, c = lie.quat_from_rotation(design.hanging.R0).tolist()
-    return Model(flight.system, (x, y, z), tuple(flight.airframe.max_thrust.tolist()), (w, a, b, c))
-
-
-def drawn_model(model: Model, target_m: Sequence[float], ground_z: float | None = None) -> dict[str, str]:
-    """The `model` metadata record: what a replay needs to draw the system, each value as JSON."""
-    system = model.system
-    values = {
-        "n": len(system.m),
-        "n_links": system.n_links.tolist(),
-        "lengths_m": system.length.tolist(),
-        "attachments_m": system.rho.tolist(),
-        "box_m": list(model.box),
-        "max_thrust_N": list(model.max_thrust),
-        "target_m": list(target_m),
-        "target_quat_wxyz": list(model.target_quat_wxyz),
-        "ground_z_m": ground_z,
-    }
-    return {key: json.dumps(value) for key, value in values.items()}
-
-
-def _commit() -> str:
-    """The git commit of the sources that fly, if they are a checkout."""
-    try:
-        here = Path(__file__).parent
-        out = subprocess.run(
-            ["git", "-C", str(here), "rev-parse", "HEAD"], capture_output=True, text=True, timeout=2, check=False
-        )
-    except (OSError, subprocess.TimeoutExpired):
-        return "unknown"
-    return out.stdout.strip() if out.returncode == 0 else "unknown"
 
 
 def _nothing(flight: Flight, reason: str) -> Summary:

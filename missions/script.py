@@ -49,8 +49,9 @@ class FleetOf:
     @property
     def load_m(self) -> tuple[float, float, float]:
         """Where the load is."""
-        x, y, z = self._mission.here.state.x0.tolist()
-        return x, y, z
+        where = self._mission.load_m
+        assert where is not None  # a script begins with the first decision
+        return where
 
     @property
     def vehicles_m(self) -> list[tuple[float, float, float]]:

@@ -179,11 +179,6 @@ class GroundTable(_Table):
     stand_off_m: Positive = 0.45  # from its attachment outwards, where a vehicle's stands_m is not given
 
 
-FAILURES = (
-    "rotor-out", "vehicle-out", "cable-cut", "payload-shift", "gust", "gps-loss", "low-battery", "lands", "returns",
-)  # fmt: skip
-
-
 class FailureTable(_Table):
     """[[failures]]: what breaks, in time since the release (on the ground: since all are armed)"""
 

@@ -92,7 +92,7 @@ class Grounded(NamedTuple):
     touch_down_m_s: float | None  # its vertical speed right before it first stood again
     largest_tension_N: float
     smallest_separation_m: float
-    vehicles_crashed: int  # that hit the ground at speed or upside down, or another vehicle
+    vehicles_crashed: int | None  # that hit the ground at speed or upside down, or another vehicle
 
 
 class OnGround:

@@ -5,9 +5,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bridge.fleet import PROFILES, Fleet, Request, Stage
+from bridge.fleet import Fleet
 from bridge.observe import Gate, Loop, Observer
+from bridge.profiles import PROFILES
 from bridge.thrust import ThrustScale, made_thrust_N
+from bridge.vehicle import Request, Stage
 from bridge.wire.values import (
     CableShape,
     Command,

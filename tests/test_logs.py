@@ -30,7 +30,7 @@ from logs.recorder import Attachment, Frame, Recorder, RecorderError
 from logs.schema import cablequad_pb2 as pb
 from logs.schema import generate
 from logs.serialize import LogWriter, serialized
-from missions.run import drawn_model
+from missions.opening import drawn_model
 
 SYSTEM = System.paper(1)
 MODEL = Model(SYSTEM, (0.6, 0.8, 0.2), (25.0,) * 4)
