@@ -8,11 +8,21 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from missions.before_cli import check, margins, preflight
 from missions.exits import FAILED, INTERRUPTED, fail, usage
 from missions.log_cli import log_app, report
+from missions.options import (
+    FirmwareOption,
+    JsonOption,
+    KeyOption,
+    PortOffset,
+    ScenarioArgument,
+    SpeedOption,
+    UnsignedOption,
+    load,
+)
 
 if TYPE_CHECKING:
-    from missions.scenario import Flight
     from missions.summary import Summary
 
 app = typer.Typer(
@@ -25,24 +35,6 @@ app = typer.Typer(
 scenarios_app = typer.Typer(help="List the shipped scenarios, or show one as a starting point.", no_args_is_help=False)
 app.add_typer(scenarios_app, name="scenarios")
 app.add_typer(log_app, name="log")
-app.command()(report)
-
-ScenarioArgument = Annotated[str, typer.Argument(help="A shipped scenario's name or the path of a TOML file.")]
-PortOffset = Annotated[
-    int, typer.Option(help="Added to every UDP port, so that several can run at once.", min=0, max=40000)
-]
-SpeedOption = Annotated[
-    str, typer.Option(help="max: lockstep, as fast as the machine allows; X: X times real time, without waiting.")
-]
-FirmwareOption = Annotated[
-    str | None, typer.Option(help="px4 or arducopter, for every vehicle, instead of what the scenario says.")
-]
-KeyOption = Annotated[
-    Path | None, typer.Option(help="Sign with the key in this file, and obey nothing that is not signed with it.")
-]
-UnsignedOption = Annotated[
-    bool, typer.Option("--accept-unsigned-telemetry", help="With a key: take unsigned messages that ask for nothing.")
-]
 
 
 @app.command()
@@ -68,7 +60,7 @@ def fly(
         bool,
         typer.Option("--live", help="Show the flight in the Rerun viewer that is open on this machine (start: rerun)."),
     ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")] = False,
+    as_json: JsonOption = False,
     port_offset: PortOffset = 0,
     firmware: FirmwareOption = None,
     configure: Annotated[
@@ -98,7 +90,7 @@ def fly(
     if duration is not None and not (math.isfinite(duration) and duration > 0):
         usage(f"--duration: {duration} given; seconds above 0 are needed")
     try:
-        flight = _load(scenario, duration, seed, firmware, script)
+        flight = load(scenario, duration, seed, firmware, script)
         key = None if signing_key is None else read_key(signing_key)
         ends = tuple(Endpoint.parse(url) for url in connect or ())
         options = Options(ends, out, pace, port_offset, configure or not ends, key, accept_unsigned, live)
@@ -120,118 +112,14 @@ def fly(
 
 
 @app.command()
-def check(
-    scenario: ScenarioArgument = "paper-case-1",
-    quick: Annotated[bool, typer.Option(help="Leave out what needs many simulated flights.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")] = False,
-) -> None:
-    """Say what can be said of a scenario before it flies: modes, margins, the stability certificate, what settles."""
-    from rich.console import Console
-
-    from missions.check import check as examine
-    from missions.check import show
-    from missions.drills import in_the_air
-    from missions.scenario import ScenarioError
-
-    console = Console(width=None if sys.stdout.isatty() else 120, highlight=False, quiet=as_json)
-    try:
-        flight = _load(scenario, None, None)
-        s = flight.scenario
-        console.print(f"[bold]{s.name}[/bold], law = {s.control.law}: {s.description}")
-        result = examine(in_the_air(flight), quick)
-    except ScenarioError as error:
-        usage(str(error))
-    if as_json:
-        print(json.dumps(result))
-    else:
-        show(result, console)
-
-
-@app.command()
-def margins(
-    scenario: ScenarioArgument = "paper-case-1",
-    out: Annotated[Path, typer.Option(help="Folder for the figure.")] = Path("runs"),
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")] = False,
-) -> None:
-    """How much delay, loss and wrong modelling the loop stands: predicted, and measured in simulated flights."""
-    from missions.drills import in_the_air
-    from missions.margins import measure, plot
-    from missions.report import margins_table, working
-    from missions.scenario import ScenarioError
-
-    try:
-        flight = _load(scenario, None, None)
-        out.mkdir(parents=True, exist_ok=True)
-        with working(f"{flight.scenario.name}: flying towards its margins", quiet=as_json):
-            result = measure(in_the_air(flight))
-    except ScenarioError as error:
-        usage(str(error))
-    except OSError as error:
-        usage(f"--out {out}: {error.strerror}; choose another folder")
-    result["figure"] = str(out / f"{flight.scenario.name}-margins.png")
-    plot(result, Path(result["figure"]))
-    if as_json:
-        print(json.dumps(result))
-    else:
-        margins_table(result)
-
-
-@app.command()
-def preflight(
-    scenario: ScenarioArgument = "ground-to-ground",
-    out: Annotated[Path, typer.Option(help="Folder for the page and the logs.")] = Path("runs"),
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")] = False,
-    port_offset: PortOffset = 0,
-) -> None:
-    """Go or no-go: design, margins, the flight itself and eight drills with and without protection, on one page.
-
-    Exit code 0 for go, 1 for no-go.
-    """
-    from rich.console import Console
-
-    from missions import preflight as page
-    from missions.run import Options
-    from missions.scenario import ScenarioError
-
-    console = Console(width=None if sys.stdout.isatty() else 120, highlight=False, quiet=as_json)
-    progress = Console(stderr=True, quiet=as_json or not sys.stderr.isatty())
-    try:
-        flight = _load(scenario, None, None)
-        out.mkdir(parents=True, exist_ok=True)
-        name = flight.scenario.name
-        with progress.status(name) as status:
-            lines = list(
-                page.preflight(
-                    flight, Options(out=out, port_offset=port_offset), lambda text: status.update(f"{name}: {text}")
-                )
-            )
-    except ScenarioError as error:
-        usage(str(error))
-    except OSError as error:
-        usage(f"--out {out}: {error.strerror}; choose another folder")
-    target = out / f"{name}-preflight.html"
-    target.write_text(page.page(name, flight.scenario.description, lines), encoding="utf-8")
-    go = page.verdict(lines)
-    if as_json:
-        print(
-            json.dumps({"scenario": name, "go": go, "page": str(target), "lines": [line._asdict() for line in lines]})
-        )
-    else:
-        page.show(name, lines, console)
-        console.print(f"page:   {target}", soft_wrap=True)
-    if not go:
-        raise typer.Exit(FAILED)
-
-
-@app.command()
 def sitl(
     scenario: ScenarioArgument = "paper-case-1",
     speed: SpeedOption = "1",
     host: Annotated[str, typer.Option(help="Address to bind and to send to.")] = "127.0.0.1",
     port_offset: PortOffset = 0,
     firmware: FirmwareOption = None,
-    load: Annotated[
-        bool, typer.Option(help="The load and its cables; --no-load: vehicles on the ground alone.")
+    with_load: Annotated[
+        bool, typer.Option("--load/--no-load", help="The load and its cables; --no-load: vehicles on the ground alone.")
     ] = True,
     signing_key: KeyOption = None,
     accept_unsigned: UnsignedOption = False,
@@ -254,10 +142,10 @@ def sitl(
     if faults and math.isinf(pace):
         usage("--faults loses what the vehicles send, on which --speed max would wait for ever; give a --speed")
     try:
-        flight = _load(scenario, None, None, firmware)
+        flight = load(scenario, None, None, firmware)
         key = None if signing_key is None else read_key(signing_key)
         serving = Serving(
-            lockstep=math.isinf(pace), speed=pace, port_offset=port_offset, host=host, loose=not load,
+            lockstep=math.isinf(pace), speed=pace, port_offset=port_offset, host=host, loose=not with_load,
             signing_key=key, accept_unsigned_telemetry=accept_unsigned, faults_at_sender=faults,
         )  # fmt: skip
         serve(flight, serving)
@@ -359,6 +247,10 @@ def replay(
     raise typer.Exit(code)
 
 
+for command in (check, margins, preflight, report):
+    app.command()(command)
+
+
 @scenarios_app.callback(invoke_without_command=True)
 def scenarios(context: typer.Context) -> None:
     """List the shipped scenarios."""
@@ -387,20 +279,6 @@ def main() -> None:
     except KeyboardInterrupt:
         print("cablequad: interrupted", file=sys.stderr)
         sys.exit(INTERRUPTED)
-
-
-def _load(
-    scenario: str,
-    duration: float | None,
-    seed: int | None,
-    firmware: str | None = None,
-    script: Path | None = None,
-) -> "Flight":
-    from missions.scenario import load
-
-    if firmware not in (None, "px4", "arducopter"):
-        usage(f"--firmware: {firmware!r} given; write px4 or arducopter")
-    return load(scenario, duration, seed, firmware, script)
 
 
 def _speed(text: str) -> float:

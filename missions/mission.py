@@ -16,6 +16,7 @@ from cablequad.linear import EquilibriumError, equilibrium
 from cablequad.system import without
 from cablequad.trajectory import Trajectory
 from missions import scenario as scenarios
+from missions.layout import standing_places, standing_z
 from missions.scenario import Flight
 from missions.script import script_from
 from missions.tracking import Grounded, Standing
@@ -47,7 +48,7 @@ def standing(flight: Flight) -> Standing | None:
         return None
     airborne = s.mission is not None and s.mission.start == "air"
     R0 = _hangs(flight) if airborne else flight.initial.R0
-    return Standing(scenarios.standing_z(s, s.ground, R0), s.ground.z_m - s.vehicle.feet_m[1])
+    return Standing(standing_z(s, s.ground, R0), s.ground.z_m - s.vehicle.feet_m[1])
 
 
 def felt(mission: Mission) -> Grounded | None:
@@ -102,7 +103,7 @@ def plan_of(flight: Flight) -> MissionPlan:
     places = standing(flight)
     assert places is not None
     rest = places.load_z
-    flat = scenarios.standing_places(s, ground, flight.system.rho)
+    flat = standing_places(s, ground, flight.system.rho)
     stands = np.column_stack([flat, np.full(len(flat), places.vehicle_z - rest)])
     hangs = _hangs(flight)
     lifted = rest - m.lift_m

@@ -1,0 +1,46 @@
+"""What several commands have in common: their options, and how a scenario is loaded."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from missions.exits import usage
+
+if TYPE_CHECKING:
+    from missions.scenario import Flight
+
+ScenarioArgument = Annotated[
+    str, typer.Argument(help="A shipped scenario's name, the path of a TOML file, or of a script (.py).")
+]
+PortOffset = Annotated[
+    int, typer.Option(help="Added to every UDP port, so that several can run at once.", min=0, max=40000)
+]
+SpeedOption = Annotated[
+    str, typer.Option(help="max: lockstep, as fast as the machine allows; X: X times real time, without waiting.")
+]
+FirmwareOption = Annotated[
+    str | None, typer.Option(help="px4 or arducopter, for every vehicle, instead of what the scenario says.")
+]
+KeyOption = Annotated[
+    Path | None, typer.Option(help="Sign with the key in this file, and obey nothing that is not signed with it.")
+]
+UnsignedOption = Annotated[
+    bool, typer.Option("--accept-unsigned-telemetry", help="With a key: take unsigned messages that ask for nothing.")
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")]
+
+
+def load(
+    scenario: str,
+    duration: float | None,
+    seed: int | None,
+    firmware: str | None = None,
+    script: Path | None = None,
+) -> "Flight":
+    """A scenario with what the command line says instead. Raises ScenarioError; an unknown firmware ends as usage."""
+    from missions.scenario import load as read
+
+    if firmware not in (None, "px4", "arducopter"):
+        usage(f"--firmware: {firmware!r} given; write px4 or arducopter")
+    return read(scenario, duration, seed, firmware, script)
