@@ -8,6 +8,40 @@ from cablequad.trajectory import Limits, Trajectory, at, leg
 from cablequad.types import Array
 
 SHARE_S = 1.5  # for what hangs on a vehicle to be taken or given
+CLEAR_OF_WRECK_M, CLEAR_OF_OTHERS_M = 0.7, 0.5
+AROUND = np.radians([0.0, 10.0, -10.0, 20.0, -20.0, 30.0, -30.0, 40.0, -40.0, 50.0, -50.0])
+FURTHER = (1.0, 1.15, 1.3)  # as far from the load
+
+
+def clear_of(wrecks: list[Array], spots: Array, middle: Array) -> Array:
+    """Where to land, (n, 3) m, near `spots` about `middle` (3,) m, with no wreck (3,) m and nobody else too near.
+
+    A spot moves around the load, and a little outwards; where nothing is clear, to what is clearest of the wrecks.
+    """
+    out = spots.copy()
+    near = [i for i, spot in enumerate(spots) if _room(wrecks, spot) < CLEAR_OF_WRECK_M]
+    for i in near:
+        others = [out[k] for k in range(len(out)) if k != i]
+        arm = spots[i] - middle
+        tried = []
+        for further in FURTHER:
+            for turn in AROUND:
+                c, s = np.cos(turn), np.sin(turn)
+                spot = middle + further * np.array([c * arm[0] - s * arm[1], s * arm[0] + c * arm[1], 0.0])
+                spot[2] = spots[i, 2]
+                if _room(others, spot) >= CLEAR_OF_OTHERS_M:
+                    tried.append(spot)
+        clear = [spot for spot in tried if _room(wrecks, spot) >= CLEAR_OF_WRECK_M]
+        if clear:
+            out[i] = min(clear, key=lambda spot: float(np.linalg.norm(spot - spots[i])))
+        elif tried:
+            out[i] = max(tried, key=lambda spot: _room(wrecks, spot))
+    return out
+
+
+def _room(things: list[Array], spot: Array) -> float:
+    """m: on the ground plan, to the nearest."""
+    return min((float(np.hypot(*(thing - spot)[:2])) for thing in things), default=float("inf"))
 
 
 class Each:

@@ -24,10 +24,12 @@ from bridge.wire.values import (
     StatusText,
     Timesync,
     VehicleAttitude,
+    VehiclePosition,
 )
 from cablequad import lie
 from cablequad.estimate import Sensing
 from cablequad.pilot import Sample
+from cablequad.types import Array
 
 SYSTEM, COMPONENT = 250, 191
 TRACKER = 200
@@ -89,6 +91,7 @@ class Fleet:
         self._setpoints_since: float | None = None
         self._next_heartbeat = 0.0
         self._tracker_heard = False
+        self._on_stands = False  # as far as the tracker says
         self._texts: list[tuple[int, StatusText]] = []
 
     @property
@@ -110,6 +113,10 @@ class Fleet:
     def all_landed(self) -> bool:
         """Whether every vehicle that is not lost says that it stands on the ground."""
         return all(v.landed != IN_AIR for v in self._own)
+
+    def place(self, i: int) -> Array | None:
+        """Where vehicle i (from 0) said last that it is, (3,) m, W; a lost one goes on saying so."""
+        return self._vehicles[i].place
 
     @property
     def batteries(self) -> list[float]:
@@ -162,6 +169,9 @@ class Fleet:
         """Take one value from system `source`."""
         if source == TRACKER:
             self._tracker_heard = True
+            if isinstance(value, LandedState):
+                self._on_stands = value.landed != IN_AIR
+                self._begin_in_air(now)
         if not 1 <= source <= self.n or component != 1:
             return
         v = self._vehicles[source - 1]
@@ -179,8 +189,9 @@ class Fleet:
                 self._answers.append(Request(source, Timesync(round(now * 1e9), value.ts1)))
             case LandedState():
                 v.landed = value.landed
-                if self._air_start and self.released_at is None and self._all_in_air():
-                    self.released_at = now
+                self._begin_in_air(now)
+            case VehiclePosition():
+                v.place = value.x
             case Battery():
                 v.battery = value.remaining if value.remaining >= 0.0 else v.battery
             case GpsFix():
@@ -194,8 +205,11 @@ class Fleet:
             case _:
                 pass
 
-    def _all_in_air(self) -> bool:
-        return all(u.landed == IN_AIR for u in self._vehicles)
+    def _begin_in_air(self, now: float) -> None:
+        """A flight that starts in the air begins when everyone says that it flies, and no stand holds them."""
+        flies = all(u.landed == IN_AIR for u in self._vehicles) and not self._on_stands
+        if self._air_start and self.released_at is None and flies:
+            self.released_at = now
 
     def texts(self) -> list[tuple[int, StatusText]]:
         """STATUSTEXTs since the last call, with their vehicle."""

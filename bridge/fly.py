@@ -9,6 +9,7 @@ from bridge.faults import Channel
 from bridge.fleet import COMPONENT, SYSTEM, TRACKER, Fleet
 from bridge.link import Address, Link, Received, Sent
 from bridge.observe import Gate, Instant, Loop
+from bridge.relate import Related, Relation
 from bridge.thrust import ThrustScale, made_thrust_N
 from bridge.vehicle import Request
 from bridge.wire.messages import WireError, encode
@@ -66,10 +67,11 @@ class _Flight:
     """The state of one call of `fly`."""
 
     def __init__(
-        self, link: Link, fleet: Fleet, decider: Decider, loop: Loop, record: Record, channels: Channels
-    ) -> None:
+        self, link: Link, fleet: Fleet, decider: Decider, loop: Loop, record: Record, channels: Channels,
+        relation: Relation,
+    ) -> None:  # fmt: skip
         self.link, self.fleet, self.decider, self.record = link, fleet, decider, record
-        self.loop = loop
+        self.loop, self.relation = loop, relation
         self.gate = Gate(fleet.n, TRACKER, loop.period_ms, loop.sensing)
         self.channels = channels
         self.routes: dict[int, tuple[int, Address]] = {}
@@ -83,6 +85,7 @@ class _Flight:
         self.scales = [ThrustScale()] * fleet.n
         self.felt: list[tuple[int, Imu]] = []  # accelerations not yet compared with what was asked
         self.released = False
+        self.related: list[Related] = []  # not yet told
 
     @property
     def flown(self) -> float:
@@ -103,7 +106,9 @@ class _Flight:
         for frame in frames:
             self._route(frame)
             if frame.component == (1 if frame.system != TRACKER else COMPONENT):
-                self.gate.feed(frame.system, frame.value)
+                self.gate.feed(frame.system, self.relation.mapped(frame.system, frame.value))
+                if isinstance(frame.value, Timesync):
+                    self.related += self.relation.answered(frame.system, frame.value, arrived)
             if isinstance(frame.value, PayloadState) and frame.system == TRACKER:
                 tracked = frame.value.boot_us
         self.pending += frames
@@ -119,6 +124,7 @@ class _Flight:
                 sample = self._answer(instant, arrived)
                 tracked = None if tracked == self.now_us else tracked
             boot_ms = self.gate.open()
+        self._ask_time(arrived)
         stale = bool(self.pending) and arrived - self.pending_since >= PROCESS_ANYWAY_S
         if tracked is None and (sample is not None or not stale):
             return sample
@@ -128,6 +134,12 @@ class _Flight:
         if tracked is not None:  # a simulator that waits for us may go on: nothing more will be said to this tick
             self._send([Request(TRACKER, Timesync(tracked * 1000, tracked * 1000))])
         return sample
+
+    def _ask_time(self, now: float) -> None:
+        """What time every vehicle and the tracker have, in one breath."""
+        question = self.relation.due(now)
+        if question is not None:
+            self._send([Request(system, question) for system in sorted(self.routes)])
 
     def _route(self, frame: Received) -> None:
         known = self.routes.setdefault(frame.system, (frame.port, frame.address))
@@ -142,6 +154,9 @@ class _Flight:
         """Let the links' faults act, then feed everyone in an order that does not depend on which socket came first."""
         frames = sorted(self.pending, key=lambda frame: frame.system)
         self.pending = []
+        for related in self.related:
+            self.record.event(self.now_us, "clock", f"vehicle {related.vehicle}", related.text())
+        self.related = []
         if self.channels:
             for frame in frames:
                 channel = self.channels.get(frame.system)
@@ -157,9 +172,11 @@ class _Flight:
             if isinstance(frame.value, Command) and (frame.value.system, frame.value.component) == (SYSTEM, COMPONENT):
                 self._told(frame, frame.value)
             if frame.component == (1 if frame.system != TRACKER else COMPONENT):
-                self.decider.feed(frame.system, frame.value)
-                if isinstance(frame.value, Imu) and self.fleet.flying and frame.system <= self.fleet.n:
-                    self.felt.append((frame.system - 1, frame.value))
+                self.relation.learn(frame.system, frame.value)
+                value = self.relation.mapped(frame.system, frame.value)
+                self.decider.feed(frame.system, value)
+                if isinstance(value, Imu) and self.fleet.flying and frame.system <= self.fleet.n:
+                    self.felt.append((frame.system - 1, value))
         if frames:
             self.record.received(self.now_us, frames)
         if self.fleet.released_at is not None and not self.released:
@@ -256,14 +273,16 @@ def fly(
     connect_timeout_s: float,
     watch: Callable[[str, Sample | None], str | None],
     channels: Channels,
+    relation: Relation,
 ) -> tuple[Outcome, Timing]:
     """Bring the fleet up, fly what `decider` decides, leave every vehicle holding.
 
     Never raises for what vehicles or users do.
     `watch` is called after every decision with the phase and the sample (None while nothing is heard); what it returns
-    ends the run with that reason. `channels` fail the frames of the systems they are for.
+    ends the run with that reason. `channels` fail the frames of the systems they are for, `relation` maps what vehicles
+    say into the tracker's time and frame.
     """
-    flight = _Flight(link, fleet, decider, loop, record, channels)
+    flight = _Flight(link, fleet, decider, loop, record, channels, relation)
     begun = link.now()
     interrupted, completed, reason = False, False, ""
     try:

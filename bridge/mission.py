@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from bridge.crew import bare, blind, static_shares
-from bridge.each import SHARE_S, Each
+from bridge.each import SHARE_S, Each, clear_of
 from bridge.fleet import Fleet
 from bridge.guards import Reading, Watch, readings, separation
 from bridge.losses import Loss, Losses
@@ -261,7 +261,8 @@ class Mission:
             case Phase.LAND:
                 self._touched_at = None
                 R0, x0 = self.here.state.R0, self.here.state.x0
-                spots = x0 + self.plan.stands[self.members] @ R0.T
+                wrecks = [p for k in self.lost if (p := self.fleet.place(k)) is not None]
+                spots = clear_of(wrecks, x0 + self.plan.stands[self.members] @ R0.T, x0)
                 spots[:, 2] = self.plan.rest_z + self.plan.stands[self.members][:, 2]
                 limits, down = self._slow(self.plan.take_off_speed), self._slow(self.plan.set_down_speed)
                 ways = []

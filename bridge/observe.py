@@ -88,6 +88,7 @@ class Gate:
         self._tracker = tracker
         self._period_ms = period_ms
         self._told_ms = -1
+        self._own_time: set[int] = set()  # sources whose stamps are not the tracker's; nobody waits for them
 
     def feed(self, source: int, value: object) -> None:
         """Take a value that closes what `source` says of a tick."""
@@ -102,14 +103,18 @@ class Gate:
             known and (stamp > self._newest[source] or stamp < self._newest[source] - REBOOT_MS)
         ):
             self._newest[source] = stamp
+            tracker = self._newest.get(self._tracker, -1)
+            beside = tracker >= 0 and (stamp - tracker) % self._period_ms != 0
+            if source != self._tracker and known:
+                (self._own_time.add if beside else self._own_time.discard)(source)
 
     def open(self) -> int | None:
         """The tick (ms) that has come and was not told yet."""
-        stamps = self._newest.values()
+        stamps = [stamp for source, stamp in self._newest.items() if source not in self._own_time]
+        if not stamps or min(self._newest.values()) < 0:
+            return None
         newest = max(stamps)
         if newest <= self._told_ms and newest > self._told_ms - REBOOT_MS:
-            return None
-        if min(stamps) < 0:
             return None
         late = newest - AWAITED * self._period_ms
         if all(stamp == newest for stamp in stamps if stamp > late):
@@ -143,6 +148,7 @@ class Observer:
         self._begun = False
         self._told_ms = [-1] * self._n  # when each vehicle told its position last
         self._told_load: PayloadState | None = None
+        self._told_cable_ms = [-1] * self._n
         self._told_R: dict[int, VehicleAttitude] = {}
         self._told_x, self._told_v = np.full((self._n, 3), np.nan), np.zeros((self._n, 3))
 
@@ -234,6 +240,7 @@ class Observer:
                 for store in (self._parts, self._known, self._commands):
                     store.clear()
                 self._begun = False
+                self._told_cable_ms = [-1] * self._n
             parts = self._parts[boot_ms] = _Parts(self._n, self._L, sum(self._links_of))
             self._forget(self._parts)
         if self._oldest_new < 0 or boot_ms < self._oldest_new:
@@ -256,6 +263,8 @@ class Observer:
         parts.cable_links[i] += k
         parts.links_missing -= k
         parts.tension[i] = c.tension_N
+        if parts.cable_links[i] >= self._links_of[i]:
+            self._told_cable_ms[i] = max(self._told_cable_ms[i], c.boot_us // 1000)
 
     def _begin(self) -> bool:
         """Whether some instant is known whole, from which the model can lead on."""
@@ -269,7 +278,31 @@ class Observer:
             if belief is not None:
                 self._known[stamp] = (belief, stamp)
                 return True
+        return self._begin_apart()
+
+    def _begin_apart(self) -> bool:
+        """Begin with vehicles that keep their own time: what is held is at the tracker's stamp as they told it last."""
+        if self._loop.filter is not None or len(self._told_R) < self._n:
+            return False
+        for stamp in sorted(self._parts, reverse=True):
+            parts = self._parts[stamp]
+            beside = any(
+                told.boot_ms % self._loop.period_ms != stamp % self._loop.period_ms for told in self._told_R.values()
+            )
+            state = self._measured(parts, self._told_R) if beside else None
+            if state is not None:
+                self._known[stamp] = (Belief(state, self._no_force), min(stamp, self._oldest_told()))
+                return True
         return False
+
+    def _oldest_told(self) -> int:
+        """The stamp (ms) that the source which was silent for longest spoke of last; -1 before all have spoken."""
+        stamps = [told.boot_ms for told in self._told_R.values()]
+        if len(stamps) < self._n:
+            return -1
+        if self._loop.sensing == "full":
+            stamps += [-1 if self._told_load is None else self._told_load.boot_us // 1000, *self._told_cable_ms]
+        return min(stamps)
 
     def _lying(self, filter: Filter, parts: _Parts) -> Belief | None:
         """Everything where it is seen, cables straight; None without what that takes.
@@ -309,13 +342,13 @@ class Observer:
             if links == self._links_of[i] and lie.normalize(parts.q[i : i + 1]):
                 into.q[i], into.omega[i] = parts.q[i], parts.omega[i]
 
-    def _measured(self, parts: _Parts) -> State | None:
-        """The state where everything was measured."""
-        load = parts.payload
-        if load is None or len(parts.attitudes) < self._n or parts.links_missing > 0 or not lie.normalize(parts.q):
+    def _measured(self, parts: _Parts, attitudes: dict[int, VehicleAttitude] | None = None) -> State | None:
+        """The state where everything was measured, or everything but `attitudes`."""
+        load, attitudes = parts.payload, parts.attitudes if attitudes is None else attitudes
+        if load is None or len(attitudes) < self._n or parts.links_missing > 0 or not lie.normalize(parts.q):
             return None
         R, Omega = np.empty((self._n, 3, 3)), np.empty((self._n, 3))
-        for i, vehicle in parts.attitudes.items():
+        for i, vehicle in attitudes.items():
             R[i], Omega[i] = vehicle.R, vehicle.Omega
         return State(load.x0, load.v0, load.R0, load.Omega0, parts.q, parts.omega, R, Omega)
 
@@ -333,13 +366,14 @@ class Observer:
             parts = self._parts.get(at)
             if parts is not None and self._loop.filter is not None:
                 belief = self._filtered(self._loop.filter, belief, parts)
-                rests_on = at if len(parts.attitudes) == self._n else rests_on
+                rests_on = at if len(parts.attitudes) == self._n else max(rests_on, min(at, self._oldest_told()))
             elif parts is not None:
                 whole = self._measured(parts)
                 if whole is not None:
                     belief, rests_on = Belief(whole, self._no_force), at
                 else:
                     belief = Belief(self._corrected(belief.state, parts), self._no_force)
+                    rests_on = max(rests_on, min(at, self._oldest_told()))
             self._known[at] = (belief, rests_on)
         return belief, rests_on
 

@@ -1,6 +1,6 @@
 """The plan's own clock: it stops while somebody wants it to, and runs down and up again smoothly."""
 
-PAUSE_S = 1.0  # from running to standing
+PAUSE_S = 2.0  # from running to standing: who is out of touch holds its last command, the others must not pull at it
 
 
 class PlanClock:

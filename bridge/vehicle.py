@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 from bridge.profiles import NEEDED_STREAMS, STREAMS_US, Profile
 from bridge.wire.dialect import mavlink
 from bridge.wire.values import Command, Heartbeat, ParamRequestRead
+from cablequad.types import Array
 
 GIVE_UP_S = 8.0
 
@@ -49,6 +50,7 @@ class Vehicle:
         self.heard_at = 0.0
         self.landed = 1
         self.battery = 1.0
+        self.place: Array | None = None
         self.streams_left = sorted(STREAMS_US, key=lambda msgid: (msgid not in NEEDED_STREAMS, msgid))
         self.refusal = ""
         self.text = ""  # of a STATUSTEXT that comes in chunks

@@ -32,6 +32,7 @@ class Rotors(NamedTuple):
 @jit
 def spin(rotors: Rotors, command: Command, thrust: Array, h: float) -> None:
     """Turn `command` into what the rotors give in a step of `h` s; `thrust` (n, 4) N, of each rotor, moves on."""
+    asked = np.empty_like(thrust)
     for i in range(thrust.shape[0]):
         lever = rotors.arm[i] / np.sqrt(2.0)
         most = rotors.most[i]
@@ -42,12 +43,20 @@ def spin(rotors: Rotors, command: Command, thrust: Array, h: float) -> None:
             turn[k] = TURN[k] * command.moment[i, 2] / (4.0 * rotors.drag[i])
         tilting = _share(tilt, np.full(4, mean), most)
         turning = _share(turn, mean + tilting * tilt, most)
+        asked[i] = mean + tilting * tilt + turning * turn
+    drive(rotors, asked, command, thrust, h)
+
+
+@jit
+def drive(rotors: Rotors, asked: Array, command: Command, thrust: Array, h: float) -> None:
+    """Let rotors that are `asked` for (n, 4) N each move on by `h` s; `command` becomes what they give together."""
+    for i in range(thrust.shape[0]):
+        lever, most = rotors.arm[i] / np.sqrt(2.0), rotors.most[i]
         decay = np.exp(-h / rotors.time[i]) if rotors.time[i] > 0.0 else 0.0
         total, moment = 0.0, np.zeros(3)
         for k in range(4):
-            asked = mean + tilting * tilt[k] + turning * turn[k]
-            asked = rotors.works[i, k] * min(max(asked, 0.0), most)
-            thrust[i, k] = asked + decay * (thrust[i, k] - asked)
+            goal = rotors.works[i, k] * min(max(asked[i, k], 0.0), most)
+            thrust[i, k] = goal + decay * (thrust[i, k] - goal)
             total += thrust[i, k]
             moment[0] -= RIGHT[k] * lever * thrust[i, k]
             moment[1] += FORWARD[k] * lever * thrust[i, k]

@@ -4,12 +4,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cablequad import lie
 from cablequad._jit import jit
 from cablequad.air import Air, drag
 from cablequad.attitude import Airframe, Setpoint, moments
 from cablequad.ground import Ground, advance_on, kept
 from cablequad.integrate import Command, Scratch, advance
-from cablequad.rotors import Rotors, spin
+from cablequad.rotors import Rotors, drive, spin
 from cablequad.state import State
 from cablequad.system import System
 from cablequad.types import Array
@@ -23,10 +24,11 @@ class World(NamedTuple):
     ground: Ground
     downwash: float  # share of a vehicle's thrust that meets a load right below it
     reach: float  # m: how far from a rotor's axis the load still meets it
-    has: Array  # (3,) 0 or 1: air, rotors, ground
+    has: Array  # (4,) 0 or 1: air, rotors, ground, rotors that flight controllers drive one by one
+    asked: Array  # (n, 4) N, of every rotor, where they are driven one by one
 
 
-AIR, ROTORS, GROUND = 0, 1, 2
+AIR, ROTORS, GROUND, DRIVEN = 0, 1, 2, 3
 
 
 @jit
@@ -47,9 +49,12 @@ def fly_in(
     `rotor_thrust` (n, 4) N moves on; `command` is left with what the rotors gave last.
     """
     for k in range(wind.shape[0]):
-        moments(system, airframe, setpoint, state, command)
-        if world.has[ROTORS] > 0.0:
-            spin(world.rotors, command, rotor_thrust, h)
+        if world.has[DRIVEN] > 0.0:
+            drive(world.rotors, world.asked, command, rotor_thrust, h)
+        else:
+            moments(system, airframe, setpoint, state, command)
+            if world.has[ROTORS] > 0.0:
+                spin(world.rotors, command, rotor_thrust, h)
         if world.has[AIR] > 0.0:
             drag(system, state, world.air, wind[k], work.on_vehicles, work)
         else:
@@ -62,6 +67,29 @@ def fly_in(
             advance_on(system, state, command, h, world.ground, kept(work), work)
         else:
             advance(system, state, command, h, 1, work)
+
+
+@jit
+def turn_on_stands(
+    system: System, state: State, h: float, steps: int, world: World, rotor_thrust: Array, command: Command
+) -> None:
+    """Vehicles on stands that hold their places and leave their attitudes free, under rotors that are driven.
+
+    Cables are tied to centres of mass: attitudes turn by the rotors' moments alone. One midpoint step of Euler's
+    equations for each `h` s. A vehicle whose rotors do not turn stays as it is.
+    """
+    for _ in range(steps):
+        drive(world.rotors, world.asked, command, rotor_thrust, h)
+        for i in range(system.m.shape[0]):
+            if command.thrust[i] <= 0.0:
+                state.Omega[i] = 0.0
+                continue
+            J = system.J[i]
+            Omega = state.Omega[i].copy()
+            middle = Omega + 0.5 * h * np.linalg.solve(J, command.moment[i] - np.cross(Omega, J @ Omega))
+            state.R[i] = np.ascontiguousarray(state.R[i]) @ lie.exp(h * middle)
+            state.Omega[i] = Omega + h * np.linalg.solve(J, command.moment[i] - np.cross(middle, J @ middle))
+            lie.orthonormalize(state.R[i])
 
 
 @jit

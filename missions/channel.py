@@ -12,7 +12,7 @@ from cablequad.state import Error, State
 from cablequad.trajectory import Reference
 from cablequad.types import Array
 from sitl.plant import Truth
-from sitl.server import Event, Report
+from sitl.settings import Event, Report
 
 
 class Sender(Protocol):

@@ -12,13 +12,16 @@ from missions.before_cli import check, margins, preflight
 from missions.exits import FAILED, INTERRUPTED, fail, usage
 from missions.log_cli import log_app, report
 from missions.options import (
+    BackendOption,
     FirmwareOption,
     JsonOption,
     KeyOption,
+    LaunchOption,
     PortOffset,
     ScenarioArgument,
     SpeedOption,
     UnsignedOption,
+    backend,
     load,
 )
 
@@ -52,7 +55,13 @@ def fly(
         typer.Option(help="A Python file whose mission(course) says where the load goes, instead of [plan]."),
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for the log and the replay.")] = Path("runs"),
-    speed: SpeedOption = "max",
+    speed: Annotated[
+        str | None,
+        typer.Option(
+            help="max: lockstep, as fast as the machine allows (the default); X: X times real time, without waiting "
+            "(1 is the default with autopilots of their own)."
+        ),
+    ] = None,
     duration: Annotated[float | None, typer.Option(help="Seconds to fly, instead of the scenario's.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed, instead of the scenario's.", min=0)] = None,
     replay: Annotated[bool, typer.Option(help="Write the replay (.rrd) beside the log.")] = True,
@@ -69,6 +78,8 @@ def fly(
     ] = False,
     signing_key: KeyOption = None,
     accept_unsigned: UnsignedOption = False,
+    backend_name: BackendOption = "builtin",
+    launch: LaunchOption = None,
 ) -> None:
     """Fly a scenario over MAVLink: start the vehicles (or connect to what is there), fly the plan, record, report.
 
@@ -79,13 +90,16 @@ def fly(
     from missions.run import Options, run
     from missions.scenario import ScenarioError
 
-    pace = _speed(speed)
+    who = backend(backend_name, firmware, launch)
+    pace = _speed(speed or ("max" if who == "builtin" else "1"))
+    if connect and who != "builtin":
+        usage("--backend starts our physics; with --connect it runs already")
     if live:
         from logs.live import VIEWER, reachable
 
         if not reachable():
             usage("--live: no viewer listens on {}:{}; start one with: rerun".format(*VIEWER))
-    if connect and speed != "max":
+    if connect and speed not in (None, "max"):
         usage("--speed sets the pace of our own simulator; with --connect the vehicles set it")
     if duration is not None and not (math.isfinite(duration) and duration > 0):
         usage(f"--duration: {duration} given; seconds above 0 are needed")
@@ -93,7 +107,7 @@ def fly(
         flight = load(scenario, duration, seed, firmware, script)
         key = None if signing_key is None else read_key(signing_key)
         ends = tuple(Endpoint.parse(url) for url in connect or ())
-        options = Options(ends, out, pace, port_offset, configure or not ends, key, accept_unsigned, live)
+        options = Options(ends, out, pace, port_offset, configure or not ends, key, accept_unsigned, live, who, launch)
         with _progress(quiet=as_json) as progress:
             summary, interrupted = run(flight, options, progress)
     except (ScenarioError, LinkError, KeyFileError) as error:
@@ -129,6 +143,8 @@ def sitl(
             "--faults", help="Let [faults] act on what the vehicles send as well, for clients other than fly."
         ),
     ] = False,
+    backend_name: BackendOption = "builtin",
+    launch: LaunchOption = None,
 ) -> None:
     """Serve the scenario's vehicles and payload tracker until Ctrl-C."""
     from bridge.link import LinkError
@@ -136,8 +152,12 @@ def sitl(
     from missions.scenario import ScenarioError
     from missions.serve import serve
     from missions.simulate import Serving
+    from sitl.external.joint import AutopilotError
     from sitl.plant import PhysicsError
 
+    who = backend(backend_name, firmware, launch)
+    if who != "builtin" and (not with_load or faults):
+        usage("--no-load and --faults are for our own vehicles; leave them out with --backend")
     pace = _speed(speed)
     if faults and math.isinf(pace):
         usage("--faults loses what the vehicles send, on which --speed max would wait for ever; give a --speed")
@@ -145,13 +165,14 @@ def sitl(
         flight = load(scenario, None, None, firmware)
         key = None if signing_key is None else read_key(signing_key)
         serving = Serving(
-            lockstep=math.isinf(pace), speed=pace, port_offset=port_offset, host=host, loose=not with_load,
-            signing_key=key, accept_unsigned_telemetry=accept_unsigned, faults_at_sender=faults,
+            lockstep=math.isinf(pace) and who == "builtin", speed=pace, port_offset=port_offset, host=host,
+            loose=not with_load,
+            signing_key=key, accept_unsigned_telemetry=accept_unsigned, faults_at_sender=faults, backend=who,
         )  # fmt: skip
-        serve(flight, serving)
+        serve(flight, serving, launch)
     except (ScenarioError, KeyFileError) as error:
         usage(str(error))
-    except (LinkError, PhysicsError) as error:
+    except (LinkError, PhysicsError, AutopilotError) as error:
         fail(str(error))
 
 

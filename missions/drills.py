@@ -15,6 +15,7 @@ from missions.tables import CutTable, FailureTable, GroundTable, MissionTable
 
 HOVER_S = 2.0  # when what happens at hover happens, since the release
 TRANSIT_S = 6.0
+EARLY = 0.3  # of the carriage, when the link is cut: all of the cut falls in it
 HOLD_S = 3.0
 LONGEST_S, LONGEST_BARE_S = 50.0, 35.0
 QUICK = {
@@ -44,13 +45,15 @@ class Drilled(NamedTuple):
     why: str
 
 
-def drills(n: int) -> tuple[Drill, ...]:
-    """The eight drills, for n vehicles; what befalls one befalls the last."""
+def drills(flight: Flight) -> tuple[Drill, ...]:
+    """The eight drills of a flight; what befalls one vehicle befalls the last."""
+    n = len(flight.system.m)
+    under_way = HOLD_S + EARLY * flight.trajectory.duration
 
     def one(kind: str, at_s: float, **more: Any) -> tuple[FailureTable, ...]:
         return (FailureTable(kind=kind, at_s=at_s, vehicle=n, **more),)  # type: ignore[arg-type]
 
-    cut = (CutTable(vehicle=n, from_s=TRANSIT_S, to_s=TRANSIT_S + 2.0),)
+    cut = (CutTable(vehicle=n, from_s=under_way, to_s=under_way + 2.0),)
     empty = one("low-battery", HOVER_S, remaining=0.15, lasts_s=30.0)
     return (
         Drill("rotor out", "a rotor stops while the load hangs still", one("rotor-out", HOVER_S)),

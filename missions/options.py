@@ -9,6 +9,7 @@ from missions.exits import usage
 
 if TYPE_CHECKING:
     from missions.scenario import Flight
+    from missions.simulate import Backend
 
 ScenarioArgument = Annotated[
     str, typer.Argument(help="A shipped scenario's name, the path of a TOML file, or of a script (.py).")
@@ -20,7 +21,26 @@ SpeedOption = Annotated[
     str, typer.Option(help="max: lockstep, as fast as the machine allows; X: X times real time, without waiting.")
 ]
 FirmwareOption = Annotated[
-    str | None, typer.Option(help="px4 or arducopter, for every vehicle, instead of what the scenario says.")
+    str | None,
+    typer.Option(
+        help="px4 or arducopter, for every vehicle, instead of what the scenario says; auto: whatever they are, by "
+        "their heartbeats (with --backend or --connect)."
+    ),
+]
+BackendOption = Annotated[
+    str,
+    typer.Option(
+        "--backend",
+        help="Who flies: builtin (our vehicles), ardupilot or px4 (our physics behind real autopilots), mixed (each "
+        "vehicle's firmware in the scenario).",
+    ),
+]
+LaunchOption = Annotated[
+    Path | None,
+    typer.Option(
+        help="Start the autopilots too: the arducopter binary, PX4's build folder, or with mixed a folder with both. "
+        "Without it their command lines are printed."
+    ),
 ]
 KeyOption = Annotated[
     Path | None, typer.Option(help="Sign with the key in this file, and obey nothing that is not signed with it.")
@@ -41,6 +61,19 @@ def load(
     """A scenario with what the command line says instead. Raises ScenarioError; an unknown firmware ends as usage."""
     from missions.scenario import load as read
 
-    if firmware not in (None, "px4", "arducopter"):
-        usage(f"--firmware: {firmware!r} given; write px4 or arducopter")
-    return read(scenario, duration, seed, firmware, script)
+    if firmware not in (None, "auto", "px4", "arducopter"):
+        usage(f"--firmware: {firmware!r} given; write px4, arducopter or auto")
+    return read(scenario, duration, seed, None if firmware == "auto" else firmware, script)
+
+
+def backend(name: str, firmware: str | None, launch: Path | None) -> "Backend":
+    """The backend that is asked for; ends as usage where there is no such thing, or it contradicts the rest."""
+    from missions.simulate import BACKENDS, KINDS
+
+    if name not in BACKENDS:
+        usage(f"--backend: {name!r} given; write {', '.join(BACKENDS[:-1])} or {BACKENDS[-1]}")
+    if name == "builtin" and launch is not None:
+        usage("--launch starts autopilots; say which with --backend ardupilot, px4 or mixed")
+    if name in KINDS and firmware not in (None, "auto", KINDS[name]):
+        usage(f"--firmware {firmware} contradicts --backend {name}; leave it out, or write auto")
+    return name

@@ -54,7 +54,7 @@ def preflight(flight: Flight, options: Options, tell: Callable[[str], None]) -> 
         tell("the flight itself and the drills")
         nominal = pool.submit(_nominal, flight, options)
         ground, flights = rehearsal(flight), 0
-        for drill in drills(len(flight.system.m)):
+        for drill in drills(flight):
             pair = []
             for protect in (True, False):
                 apart = replace(options, port_offset=options.port_offset + PORTS * (1 + flights))

@@ -13,6 +13,7 @@ import numpy as np
 from bridge.fleet import COMPONENT, SYSTEM, TRACKER
 from bridge.observe import Instant, Observer
 from bridge.phases import FLY
+from bridge.relate import Related, Relation
 from bridge.wire.dialect import mavlink
 from bridge.wire.messages import decode
 from bridge.wire.values import Command
@@ -27,6 +28,7 @@ from missions import scenario as scenarios
 from missions.ready import loop_of, ready
 from missions.scenario import Flight, ScenarioError
 
+SYSTEMS = 199  # ids that vehicles may have
 DECISION = ("ideal_force", "thrust", "attitude", "e_x0", "e_v0", "Psi", "e_q", "e_w", "position", "link_direction")
 
 
@@ -80,7 +82,7 @@ def _follow(path: Path, flight: Flight, design: Design) -> list[bytes]:
         match told:
             case Frame():
                 if told.own:
-                    observer.feed(told.system, told.value)
+                    observer.feed(told.system, told.mapped)
             case pb.Event():
                 if told.kind == "release":
                     observer.released()
@@ -110,7 +112,7 @@ def _follow_mission(path: Path, flight: Flight, design: Design) -> list[bytes]:
                 if isinstance(told.value, Command) and (told.value.system, told.value.component) == (SYSTEM, COMPONENT):
                     decider.command(told.value.command, told.value.params)
                 if told.own:
-                    decider.feed(told.system, told.value)
+                    decider.feed(told.system, told.mapped)
             case pb.ControlState():
                 boot_ms, instant = _instant(path, decider.observer, told)
                 decided = decider.answer(told.t, boot_ms * 1e-3, instant)
@@ -129,21 +131,29 @@ class Frame(NamedTuple):
     system: int
     component: int
     value: Any
+    mapped: Any
     own: bool  # of the flight controller itself, or of the tracker
 
 
 def _told(path: Path) -> Iterator[Frame | pb.Event | pb.ControlState]:
-    """What a log says that decisions go by, in its order."""
-    epoch_ns = read(path).epoch_ns
+    """What a log says that decisions go by, in its order; what vehicles say is in the tracker's time and frame."""
+    run = read(path)
+    epoch_ns = run.epoch_ns
+    relation = Relation(SYSTEMS, TRACKER, any(event.kind == "clock" for event in run.events))
     for entry in entries(path):
         if entry.topic.startswith("/mavlink/") and entry.topic.endswith("/rx"):
             f = pb.MavlinkFrame.FromString(entry.data)
             value = _value(f)
             if value is not None:
+                relation.learn(f.sysid, value)
                 own = f.compid == (COMPONENT if f.sysid == TRACKER else 1)
-                yield Frame((entry.log_time - epoch_ns) * 1e-9, f.sysid, f.compid, value, own)
+                mapped = relation.mapped(f.sysid, value)
+                yield Frame((entry.log_time - epoch_ns) * 1e-9, f.sysid, f.compid, value, mapped, own)
         elif entry.topic == "/event":
-            yield pb.Event.FromString(entry.data)
+            event = pb.Event.FromString(entry.data)
+            if event.kind == "clock":
+                relation.set(Related.read(event.subject, event.text))
+            yield event
         elif entry.topic == "/control/state":
             yield pb.ControlState.FromString(entry.data)
 

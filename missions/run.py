@@ -21,6 +21,7 @@ from bridge.fly import Outcome, Timing, fly
 from bridge.link import Endpoint, Link, LinkError, Received
 from bridge.phases import CARRIED, FLY
 from bridge.ports import TRACKER_PORTS, vehicle_ports
+from bridge.relate import Relation
 from bridge.wire.frames import Signer
 from bridge.wire.messages import attitude_target, reread
 from bridge.wire.messages import encode as encode_message
@@ -36,18 +37,21 @@ from cablequad.state import positions
 from cablequad.trajectory import at
 from logs.recorder import RecorderError
 from missions import scenario as scenarios
+from missions.launch import Autopilots, Launch, launches
 from missions.mission import felt
 from missions.opening import opening
 from missions.ready import Ready, ready
 from missions.scenario import Flight
 from missions.scribe import Scribe
 from missions.show import Show
-from missions.simulate import Serving, Simulator, few_collections, pin, settings
+from missions.simulate import Backend, Serving, Simulator, few_collections, pin, settings
 from missions.summary import Summary, Track, summarize
-from sitl.server import HOST
+from sitl.settings import HOST
 
 SWITCH_S = 0.0005  # the writer thread gives the interpreter back to the control loop this often
 
+
+BOOT_S = 120.0  # wall clock, for autopilots to come up
 
 NO_TIME = Timing(0, 0, [], 0.0, [], 0)
 
@@ -64,6 +68,8 @@ class Options:
     signing_key: bytes | None = None
     accept_unsigned_telemetry: bool = False
     live: bool = False  # shown in the viewer that is open
+    backend: Backend = "builtin"  # who flies the vehicles
+    launch: Path | None = None  # the autopilots' binary or build folder; None: somebody else starts them
 
 
 class Progress:
@@ -120,10 +126,12 @@ def _run(flight: Flight, design: Design, options: Options, progress: Progress) -
     processors = os.sched_getaffinity(0) if sys.platform == "linux" else set()
     before, thresholds = sys.getswitchinterval(), gc.get_threshold()
     show: Show | None = None
+    autopilots: Autopilots | None = None
     try:
-        beginning = opening(
-            flight, design, options.out, math.isinf(options.speed) and not options.connect, bool(options.connect)
-        )
+        external = options.backend != "builtin"
+        lockstep = math.isinf(options.speed) and not options.connect and not external
+        patience = max(flight.scenario.link.connect_timeout_s, BOOT_S if external else 0.0)
+        beginning = opening(flight, design, options.out, lockstep, bool(options.connect))
         scribe = Scribe(beginning)
         if options.live:
             show = Show(beginning.path)
@@ -133,14 +141,20 @@ def _run(flight: Flight, design: Design, options: Options, progress: Progress) -
         prepared = ready(flight, design, options.configure)
         if not options.connect:
             serving = Serving(
-                lockstep=math.isinf(options.speed), await_controller=True, speed=options.speed,
+                lockstep=lockstep, await_controller=True, speed=options.speed, backend=options.backend,
                 port_offset=options.port_offset, signing_key=key,
                 accept_unsigned_telemetry=options.accept_unsigned_telemetry,
             )  # fmt: skip
-            simulator = Simulator(settings(flight, serving), scribe.truth_end)
+            values = settings(flight, serving)
+            starts = _starts(flight, options) if external else []
+            simulator = Simulator(values, scribe.truth_end)
+            if external and options.launch is not None:
+                autopilots = Autopilots(starts, beginning.path.with_suffix(""))
+            for start in starts if options.launch is None else ():
+                progress.say(f"start, in a folder of its own: {start.line()}")
         scribe.wait_ready()
         watch = _Watch(scribe, _track(flight))
-        if simulator is not None and math.isinf(options.speed):
+        if simulator is not None and lockstep:
             pin(-2)
         sys.setswitchinterval(SWITCH_S)
         with _interrupts() as interrupted:
@@ -149,7 +163,17 @@ def _run(flight: Flight, design: Design, options: Options, progress: Progress) -
                 timing = NO_TIME
             else:
                 few_collections()
-                outcome, timing = _fly(flight, prepared, link, watch, simulator, interrupted, progress)
+                outcome, timing = _fly(
+                    flight,
+                    prepared,
+                    link,
+                    watch,
+                    simulator,
+                    interrupted,
+                    progress,
+                    patience,
+                    external or bool(options.connect),
+                )
         if simulator is not None:
             simulator.stop()
             while after := link.poll(0.0):  # what was still on its way is counted too
@@ -188,7 +212,13 @@ def _run(flight: Flight, design: Design, options: Options, progress: Progress) -
             scribe.close()
         if show is not None:
             show.close()
+        if autopilots is not None:
+            autopilots.stop()
         link.close()
+
+
+def _starts(flight: Flight, options: Options) -> list[Launch]:
+    return launches(flight, options.backend, options.launch, options.port_offset, HOST, options.speed)
 
 
 def _track(flight: Flight) -> Track:
@@ -225,7 +255,10 @@ def _fly(
     simulator: Simulator | None,
     interrupted: Callable[[], bool],
     progress: Progress,
+    connect_timeout_s: float,
+    asks: bool,
 ) -> tuple[Outcome, Timing]:
+    """`asks`: vehicles may have clocks of their own."""
     s = flight.scenario
     fleet, mission = prepared.fleet, prepared.mission
     channels = {
@@ -252,7 +285,10 @@ def _fly(
                 return f"the mission is not over after {s.duration_s:g} s (duration_s), in phase {phase}"
         return None
 
-    outcome, timing = fly(link, fleet, prepared.decider, prepared.loop, watch, s.link.connect_timeout_s, look, channels)
+    relation = Relation(fleet.n, TRACKER, asks)
+    outcome, timing = fly(
+        link, fleet, prepared.decider, prepared.loop, watch, connect_timeout_s, look, channels, relation
+    )
     if mission is not None:
         mission.close()
     watch.tallies = [channel.tally for channel in channels.values()]

@@ -32,7 +32,7 @@ from logs.recorder import FLUSH_S, Attachment, Frame, Recorder, RecorderError
 from missions.channel import Shapes, put_sample, sample_shapes, take, take_sample
 from missions.tracking import Followed, Following, Grounded, OnGround, Standing
 from sitl.plant import Truth
-from sitl.server import Event
+from sitl.settings import Event
 
 PIPE_BYTES = 1 << 20  # what may wait for the scribe before the control loop does
 TOGETHER = 16  # decisions in one write, as a wake-up of the scribe costs more than what it is told

@@ -3,22 +3,28 @@
 import signal
 import sys
 import threading
+from pathlib import Path
 from types import FrameType
 
 from rich.console import Console
 from rich.table import Table
 
+from bridge.ports import vehicle_ports
+from missions.launch import Autopilots, launches
 from missions.scenario import Flight
-from missions.simulate import Serving, settings
+from missions.simulate import Serving, kinds, server_of, settings
+from sitl.external.ardupilot import ARDUPILOT_PORT
+from sitl.external.px4 import PX4_PORT
 from sitl.places import places, tracker_endpoints
 from sitl.plant import Truth
-from sitl.server import Event, Server
+from sitl.settings import Event
 
 
-def serve(flight: Flight, serving: Serving) -> None:
-    """Serve until SIGINT or SIGTERM.
+def serve(flight: Flight, serving: Serving, launch: Path | None = None) -> None:
+    """Serve until SIGINT or SIGTERM; autopilots of their own are started where `launch` says, else their commands told.
 
-    Raises LinkError for an address that is taken, ValueError for a parameter that a vehicle does not have, PhysicsError
+    Raises ScenarioError for autopilots that cannot be started, AutopilotError where one is missing, LinkError for
+    an address that is taken, ValueError for a parameter that a vehicle does not have, PhysicsError
     if motion diverges.
     """
     console = Console(highlight=False, width=None if sys.stdout.isatty() else 120)
@@ -33,19 +39,33 @@ def serve(flight: Flight, serving: Serving) -> None:
 
     for note in flight.notes:
         console.print(note)
-    server = Server(settings(flight, serving), sink)
+    server = server_of(settings(flight, serving), sink)
     signal.signal(signal.SIGINT, stop)
     signal.signal(signal.SIGTERM, stop)
-    console.print(_addresses(flight, serving))
+    console.print(_addresses(flight, serving) if serving.backend == "builtin" else _seats(flight, serving))
     console.print(
         "lockstep with a controller 250/191 that answers every state; real time for everyone else"
         if serving.lockstep
         else f"{serving.speed:g} x real time"
     )
+    autopilots: Autopilots | None = None
     try:
+        if serving.backend != "builtin":
+            starts = launches(flight, serving.backend, launch, serving.port_offset, serving.host, serving.speed)
+            if launch is None:
+                console.print("start the autopilots, each in a folder of its own:")
+                for start in starts:
+                    console.print(f"  {start.line()}", soft_wrap=True)
+                    for name, text in start.files.items():
+                        console.print(f"    {name}: {', '.join(text.splitlines())}", soft_wrap=True)
+            else:
+                autopilots = Autopilots(starts, Path("autopilots"))
+                console.print(f"{len(starts)} autopilots started, in {Path('autopilots').resolve()}")
         report = server.run(stopped.is_set)
     finally:
         server.close()
+        if autopilots is not None:
+            autopilots.stop()
     if report.bad or any(report.refused.values()):
         refused = ", ".join(f"{count} {why}" for why, count in report.refused.items())
         console.print(f"frames refused: {report.bad} damaged, {refused}")
@@ -76,6 +96,23 @@ def _addresses(flight: Flight, serving: Serving) -> Table:
     if not serving.loose:
         for end in tracker_endpoints(offset, host):
             table.add_row("200 (payload)", "191", "", "tracker, udp", _url(end.peer), _url(end.bind))
+    return table
+
+
+def _seats(flight: Flight, serving: Serving) -> Table:
+    offset, host = serving.port_offset, serving.host
+    table = Table(title=f"{flight.scenario.name}: physics for {len(flight.firmware)} autopilots", title_justify="left")
+    for column in ("system", "autopilot", "physics here", "MAVLink to"):
+        table.add_column(column)
+    for i, kind in enumerate(kinds(flight, serving.backend)):
+        here = (
+            f"udp {host}:{ARDUPILOT_PORT + offset + 10 * i}"
+            if kind == "arducopter"
+            else f"tcp {host}:{PX4_PORT + offset + i}"
+        )
+        table.add_row(str(i + 1), kind, here, f"udp {host}:{vehicle_ports(i)[0] + offset}")
+    end = tracker_endpoints(offset, host)[0]
+    table.add_row("200", "payload tracker", f"udp {_url(end.bind)}", f"udp {_url(end.peer)}")
     return table
 
 

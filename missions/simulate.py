@@ -9,7 +9,7 @@ import sys
 import threading
 from collections.abc import Callable
 from multiprocessing.connection import Connection
-from typing import NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -17,14 +17,22 @@ from bridge.link import LinkError
 from bridge.wire.telemetry import Home
 from missions import scenario as scenarios
 from missions.channel import Failure, Ready, Status, put
-from missions.scenario import Flight
+from missions.scenario import Flight, ScenarioError
 from missions.tables import FailureTable
+from sitl.external.joint import AutopilotError, External, JointServer, frame_us
 from sitl.failures import Failure as Breakage
 from sitl.plant import PhysicsError, Truth
-from sitl.server import HOST, Event, Report, Server, Settings
+from sitl.server import Server
+from sitl.settings import HOST, Event, Report, Settings, Sink
 
 TOLD_TOGETHER = 16  # ticks of truth in one write: a wake-up of the scribe costs more than what it is told
 START_S = 180.0  # the first start on a machine compiles the model
+
+
+Backend = Literal["builtin", "ardupilot", "px4", "mixed"]
+BACKENDS: tuple[Backend, ...] = get_args(Backend)
+KINDS = {"ardupilot": "arducopter", "px4": "px4"}
+BUILT_IN_ONLY = ("lands", "returns", "gps-loss")  # failures of what real autopilots decide or measure themselves
 
 
 class Serving(NamedTuple):
@@ -39,10 +47,11 @@ class Serving(NamedTuple):
     signing_key: bytes | None = None
     accept_unsigned_telemetry: bool = False
     faults_at_sender: bool = False
+    backend: Backend = "builtin"
 
 
 def settings(flight: Flight, serving: Serving) -> Settings:
-    """The server's settings for a flight."""
+    """The server's settings for a flight. Raises ScenarioError where the backend cannot fly it."""
     s = flight.scenario
     ready = [
         v.estimator_ready_s if v.estimator_ready_s is not None else s.vehicle.estimator_ready_s for v in s.vehicles
@@ -77,7 +86,34 @@ def settings(flight: Flight, serving: Serving) -> Settings:
         weather=flight.world.weather,
         noise=scenarios.noise(flight),
         failures=tuple(_failure(f) for f in s.failures),
+        external=_external(flight, serving.backend),
     )
+
+
+def kinds(flight: Flight, backend: Backend) -> tuple[str, ...]:
+    """The autopilot of every vehicle: arducopter or px4."""
+    return flight.firmware if backend in ("mixed", "builtin") else (KINDS[backend],) * len(flight.firmware)
+
+
+def _external(flight: Flight, backend: Backend) -> External | None:
+    if backend == "builtin":
+        return None
+    try:
+        frame_us(flight.physics_us)
+    except ValueError as error:
+        raise ScenarioError(f"scenario {flight.scenario.name}: {error}") from None
+    for f in flight.scenario.failures:
+        if f.kind in BUILT_IN_ONLY:
+            raise ScenarioError(
+                f"scenario {flight.scenario.name}: failures: {f.kind!r} is for built-in vehicles; leave it out with "
+                f"--backend {backend}"
+            )
+    return External(kinds(flight, backend))
+
+
+def server_of(values: Settings, sink: Sink) -> Server | JointServer:
+    """Whoever serves what the settings describe. Raises LinkError, ValueError."""
+    return Server(values, sink) if values.external is None else JointServer(values, sink)
 
 
 def _failure(f: FailureTable) -> Breakage:
@@ -121,7 +157,7 @@ def _child(values: Settings, status: Connection, truth: Connection) -> None:
             waiting.clear()
 
     try:
-        server = Server(values, sink)
+        server = server_of(values, sink)
     except (LinkError, ValueError) as error:
         status.send(Failure(str(error)))
         return
@@ -134,6 +170,8 @@ def _child(values: Settings, status: Connection, truth: Connection) -> None:
         status.send(report)
     except PhysicsError as error:
         status.send(Failure(f"physics: {error} (t = {server.now_us * 1e-6:.2f} s of the vehicles' clock)"))
+    except AutopilotError as error:
+        status.send(Failure(str(error)))
     except BrokenPipeError:
         return
     finally:

@@ -16,7 +16,7 @@ from cablequad.rotors import Rotors
 from cablequad.state import State, positions, velocities
 from cablequad.system import System, cut_off, without
 from cablequad.types import Array
-from cablequad.world import AIR, GROUND, ROTORS, World, fly_in
+from cablequad.world import AIR, DRIVEN, GROUND, ROTORS, World, fly_in, turn_on_stands
 from sitl.firmware.autopilot import Actuation
 from sitl.wind import Wind
 
@@ -37,6 +37,7 @@ class Surroundings(NamedTuple):
     feet: Array = np.zeros((0, 3))  # (4, 3) m, of a vehicle
     downwash: float = 0.0
     airborne: bool = False  # held in the air at first, over the ground
+    driven: bool = False  # flight controllers drive every rotor by itself; held vehicles are free to turn
 
 
 class Truth(NamedTuple):
@@ -125,7 +126,7 @@ class Plant:
         self._wind = wind
         self._rotors = self.around.rotors or _instant(airframe)
         a = self.around
-        self._plain = a.air is None and a.rotors is None and a.ground_z is None and a.downwash == 0.0
+        self._plain = a.air is None and a.rotors is None and a.ground_z is None and a.downwash == 0.0 and not a.driven
         self.reset()
         self._warm_up()
 
@@ -133,6 +134,9 @@ class Plant:
         """Compile the step before a clock runs, the part of it too that something which breaks would need."""
         n = len(self.system.m)
         self.command([Actuation(self.state.R[i], np.zeros(3), 0.0, False) for i in range(n)])
+        if self.around.driven:
+            self.held = True
+            self.advance(1)
         still = None if self._plain else np.zeros((1, 3))
         self._parts[0].move(self._setpoint, self.state.copy(), self.h, 1, still)
         self.reset()
@@ -163,10 +167,10 @@ class Plant:
         z = math.inf if a.ground_z is None else a.ground_z
         feet = a.feet if len(a.feet) else np.zeros((0, 3))
         floor: Ground = ground(system, z, corners, feet, self.h, a.friction)
-        has = np.zeros(3)
-        has[AIR], has[ROTORS], has[GROUND] = a.air is not None, not self._plain, self.grounded
+        has = np.zeros(4)
+        has[AIR], has[ROTORS], has[GROUND], has[DRIVEN] = a.air is not None, not self._plain, self.grounded, a.driven
         reach = 0.5 * float(np.linalg.norm(np.ptp(corners, axis=0))) if len(corners) else CUT_REACH_M
-        return World(own, rotors, floor, a.downwash if len(members) == n else 0.0, reach, has)
+        return World(own, rotors, floor, a.downwash if len(members) == n else 0.0, reach, has, np.zeros((n, 4)))
 
     @property
     def state(self) -> State:
@@ -201,9 +205,19 @@ class Plant:
         if self._plain:
             self.thrust = self._setpoint.thrust
 
+    def drive(self, asked: Array) -> None:
+        """What every rotor is asked for from now on, (n, 4) N, where flight controllers drive them (`driven`)."""
+        for part in self._parts:
+            part.world.asked[:] = self._thrust_scale[part.members, None] * asked[part.members]
+
     def advance(self, steps: int) -> None:
         """`steps` physics steps under what was commanded. Raises PhysicsError when the state is no longer finite."""
         if self.held:
+            if self.around.driven:
+                whole = self._parts[0]
+                command = whole.command
+                turn_on_stands(whole.system, whole.state, self.h, steps, whole.world, whole.rotor_thrust, command)
+                self.thrust = command.thrust.copy()
             return
         wind = self._air(steps)
         thrust = self.thrust.copy()

@@ -6,7 +6,6 @@ for the answers (lockstep) or for the wall clock. A setpoint that answers the st
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 
@@ -14,104 +13,22 @@ from bridge.faults import Channel, Faults, generator
 from bridge.link import Link, Received
 from bridge.wire.frames import Packed, Signer
 from bridge.wire.messages import encode
-from bridge.wire.telemetry import BUILD, Home, Snapshot
+from bridge.wire.telemetry import BUILD, Snapshot
 from bridge.wire.values import IN_AIR, ON_GROUND, AttitudeTarget, Timesync
-from cablequad.attitude import Airframe
-from cablequad.noise import Noise
-from cablequad.state import State
-from cablequad.system import System
 from cablequad.types import Array
 from sitl import tracker
-from sitl.failures import Broken, Failure
+from sitl.failures import Broken
 from sitl.firmware.arducopter import ArduCopter
 from sitl.firmware.autopilot import ATTITUDE_QUATERNION, HIGHRES_IMU, Autopilot, Body
 from sitl.firmware.px4 import Px4
 from sitl.places import places, tracker_endpoints
-from sitl.plant import LoosePlant, Plant, Surroundings, Truth
+from sitl.plant import LoosePlant, Plant, Truth
 from sitl.sensors import Sensors
-from sitl.wind import Weather, Wind
+from sitl.settings import Event, Report, Settings, Sink, own_generator, plant_of
 
 CONTROLLER = (250, 191)  # whose setpoints may hold the clock
-HOST = "127.0.0.1"
 PERSONAS: dict[str, type[Px4] | type[ArduCopter]] = {"px4": Px4, "arducopter": ArduCopter}
 CATCH_UP = 0.25  # s behind the wall clock that are made up for; more is let go
-
-
-class Settings(NamedTuple):
-    """Everything the server needs to know; times are microseconds of the vehicles' clock."""
-
-    system: System
-    airframe: Airframe
-    initial: State
-    physics_us: int
-    tick_us: int
-    truth_us: int  # between the states that the sink is told; a tick is a whole number of them
-    control_us: int  # the tracker's rate, which is the controller's
-    delay_us: int
-    lockstep: bool
-    await_controller: bool  # hold the clock at the first tick until a controller answers it
-    speed: float  # wall-clock factor where nobody holds the clock
-    answer_timeout_s: float  # wall clock: how long a tick waits for its answers
-    port_offset: int = 0
-    host: str = HOST
-    home: Home = Home()
-    firmware: tuple[str, ...] = ()  # the persona of each vehicle; px4 where it is not said
-    parameters: tuple[dict[str, float], ...] = ()  # set before boot, for each vehicle
-    ready_us: tuple[int | None, ...] = ()  # when each estimator has a position; None: as the firmware takes
-    loose: bool = False  # the vehicles alone on the ground: no load, no cables, no tracker
-    faults: tuple[Faults, ...] = ()  # of what each vehicle receives
-    faults_down: tuple[Faults, ...] = ()  # of what each vehicle sends, for clients that have no faults of their own
-    seed: int = 0
-    signing_key: bytes | None = None
-    accept_unsigned_telemetry: bool = False
-    thrust_scale: tuple[float, ...] = ()  # N that each vehicle's rotors give for one that is asked; 1 where not said
-    around: Surroundings = Surroundings()
-    weather: Weather | None = None
-    noise: Noise = Noise()
-    failures: tuple[Failure, ...] = ()
-
-
-class Event(NamedTuple):
-    """Something that happened among the vehicles."""
-
-    boot_us: int
-    kind: str
-    subject: str
-    text: str
-
-
-class Report(NamedTuple):
-    """How the server kept its time."""
-
-    ticks: int
-    missed_answers: int  # lockstep: ticks whose setpoint did not come in time
-    missed_deadlines: int  # paced: ticks that began more than a tick late
-    lateness_s: tuple[float, ...]  # paced: how late each tick began
-    sent: int  # frames to whoever is on the vehicles' onboard links and the tracker's
-    received: int  # frames on the vehicles' onboard links
-    passed: int  # of those received, and let through by [faults]
-    lost: int  # of those received, and taken by [faults]
-    duplicated: int
-    waiting: int
-    bad: int  # frames on any port that did not parse or made no sense
-    refused: dict[str, int]  # frames on any port, by what was wrong with their signature
-
-
-Sink = Callable[[Truth | Event], None]
-
-
-def own_generator(seed: int, what: str) -> np.random.Generator:
-    """The generator of one part of the world, the same for the same seed whatever the other parts draw."""
-    return np.random.default_rng([seed, *what.encode()])
-
-
-def _plant(s: Settings) -> Plant | LoosePlant:
-    h = s.physics_us * 1e-6
-    if s.loose:
-        return LoosePlant(s.system, s.airframe, s.initial, h)
-    wind = Wind(s.weather, h, own_generator(s.seed, "wind")) if s.weather is not None else None
-    scale = np.array(s.thrust_scale) if s.thrust_scale else None
-    return Plant(s.system, s.airframe, s.initial, h, scale, s.around, wind)
 
 
 class Server:
@@ -126,7 +43,8 @@ class Server:
         trackers = () if s.loose else tracker_endpoints(s.port_offset, s.host)
         signer = Signer(s.signing_key, s.accept_unsigned_telemetry) if s.signing_key is not None else None
         self.link = Link([*(place.endpoint for place in self._places), *trackers], signer)
-        self.plant = _plant(s)
+        self._tracker_ports = (len(self._places), len(self._places) + 1)
+        self.plant = LoosePlant(s.system, s.airframe, s.initial, s.physics_us * 1e-6) if s.loose else plant_of(s)
         self._sensors = Sensors(s.noise, own_generator(s.seed, "sensors"))
         self._ports = [[k for k, p in enumerate(self._places) if p.vehicle in (i, None)] for i in range(n)]
         self.vehicles = [self._vehicle(i, firmware[i]) for i in range(n)]
@@ -256,6 +174,7 @@ class Server:
 
     def _compose(self, now: int) -> None:
         """Put together what is said at `now`: sensors tell what acted until then."""
+        s = self.settings
         x, v = self.plant.kinematics()
         self._own = self._snapshots(now, x, v)
         self._truth = self.plant.truth(now, x, v) if isinstance(self.plant, Plant) else None
@@ -270,7 +189,8 @@ class Server:
             self._own[i] = self._self_image(i, self._own[i])
             self._speak(i, vehicle, self._sensors.vehicle(vehicle.snapshot(self._own[i])))
         if self._truth is not None:
-            self._track(self._sensors.tracked(self._truth))
+            said = self._sensors.tracked(self._truth)
+            tracker.tell(self.link, self._tracker_ports, said, s.system.n_links, s.control_us)
 
     def _self_image(self, i: int, own: Snapshot) -> Snapshot:
         """What vehicle i takes itself to be, with what is broken."""
@@ -345,16 +265,6 @@ class Server:
     def _audible(self, i: int) -> tuple[bool, ...]:
         """On which of vehicle i's links somebody may listen."""
         return tuple(self.link.ports[p].heard for p in self._ports[i])
-
-    def _track(self, truth: Truth) -> None:
-        n_links = self.settings.system.n_links
-        to_controller, to_ground = len(self._places), len(self._places) + 1
-        for message in tracker.low_rate(truth, n_links):
-            self.link.send(to_ground, tracker.SYSTEM, tracker.COMPONENT, message)
-            self.link.send(to_controller, tracker.SYSTEM, tracker.COMPONENT, message)
-        if truth.boot_us % self.settings.control_us == 0:
-            for message in tracker.high_rate(truth, n_links):
-                self.link.send(to_controller, tracker.SYSTEM, tracker.COMPONENT, message)
 
     def _receive(self, timeout: float, closing: int | None = None) -> None:
         now = self.now_us

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from bridge.link import Link
 from bridge.wire.dialect import mavlink
 from bridge.wire.frames import Packed, pack
 from bridge.wire.messages import cable_frames, encode
@@ -44,3 +45,14 @@ def low_rate(truth: Truth, n_links: np.ndarray) -> list[Packed]:
             data = links.tolist() + [0.0] * (ARRAY_FLOATS - len(links))
             out.append(pack(mavlink.MAVLink_debug_float_array_message, us, i + 1, b"cable", *data))
     return out
+
+
+def tell(link: Link, ports: tuple[int, int], truth: Truth, n_links: np.ndarray, control_us: int) -> None:
+    """Say what is due, to the controller and to ground stations, on their two `ports`."""
+    to_controller, to_ground = ports
+    for message in low_rate(truth, n_links):
+        link.send(to_ground, SYSTEM, COMPONENT, message)
+        link.send(to_controller, SYSTEM, COMPONENT, message)
+    if truth.boot_us % control_us == 0:
+        for message in high_rate(truth, n_links):
+            link.send(to_controller, SYSTEM, COMPONENT, message)

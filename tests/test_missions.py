@@ -1,6 +1,7 @@
 """Missions: phases, guards, scripts, what is lost, and drills that end worse without protection."""
 
 import json
+import math
 import time
 from collections.abc import Callable
 from importlib import resources
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 from conftest import Command, cablequad, flown, next_offset
 
+from bridge.each import clear_of
 from bridge.guards import Guard, Watch, separation
 from bridge.phases import ORDER, RULES, Phase
 from bridge.plan_clock import PlanClock
@@ -178,7 +180,7 @@ def test_a_cable_that_comes_off_ends_in_the_load_set_down_softly_and_nobody_hurt
 
 
 def test_a_rotor_out_ends_worse_without_protection(tmp_path: Path) -> None:
-    drill = next(d for d in drills(4) if d.name == "rotor out")
+    drill = next(d for d in drills(scenarios.load("ground-to-ground")) if d.name == "rotor out")
     protected = drilled(tmp_path, list(drill.failures), True)
     bare = drilled(tmp_path, list(drill.failures), False, 25.0)
     assert compared(drill, protected, bare).verdict == "go"
@@ -237,7 +239,7 @@ def test_telling_nobody_says_so() -> None:
 def test_six_vehicles_go_on_with_five(tmp_path: Path) -> None:
     base = scenarios.load("six-vehicles")
     air = rehearsal(base)
-    drill = next(d for d in drills(6) if d.name == "vehicle out")
+    drill = next(d for d in drills(base) if d.name == "vehicle out")
     file = tmp_path / "six.json"
     file.write_text(air.scenario.model_copy(update={"failures": list(drill.failures), "name": "six"}).model_dump_json())
     s = flown(str(file), "--no-replay", "--out", str(tmp_path), "--port-offset", str(next_offset()))
@@ -245,3 +247,16 @@ def test_six_vehicles_go_on_with_five(tmp_path: Path) -> None:
     events = read(Path(s["log"])).events
     assert any(e.kind == "crew" and "5 vehicles carry the load on" in e.text for e in events)
     assert s["vehicles_crashed"] == 1
+
+
+def test_landing_places_keep_clear_of_a_wreck_and_of_each_other() -> None:
+    middle = np.array([3.0, 1.0, 0.0])
+    stands = np.array([[1.0, 0.8, -0.1], [1.0, -0.8, -0.1], [-1.0, 0.8, -0.1], [-1.0, -0.8, -0.1]])
+    spots = middle + stands
+    wreck = spots[0] + np.array([0.2, 0.1, 0.3])
+    moved = clear_of([wreck], spots, middle)
+    assert (moved[1:] == spots[1:]).all()  # nobody moves who need not
+    assert math.hypot(*(moved[0] - wreck)[:2]) >= 0.69
+    assert min(math.dist(moved[i], moved[k]) for i in range(4) for k in range(i)) >= 0.5
+    assert np.linalg.norm(moved[0] - middle) < 1.31 * np.linalg.norm(stands[0])
+    assert (clear_of([], spots, middle) == spots).all()

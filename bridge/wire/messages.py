@@ -26,6 +26,7 @@ from bridge.wire.values import (
     MissionClear,
     MissionCount,
     MissionRequestList,
+    Origin,
     ParamRequestList,
     ParamRequestRead,
     ParamSet,
@@ -258,6 +259,15 @@ def _read_landed(m: Message) -> LandedState:
     return LandedState(m.landed_state)
 
 
+def _origin(v: Origin) -> Message:
+    lat, lon = round(v.latitude_deg * 1e7), round(v.longitude_deg * 1e7)
+    return mavlink.MAVLink_gps_global_origin_message(lat, lon, round(v.altitude_m * 1e3))
+
+
+def _read_origin(m: Message) -> Origin:
+    return Origin(m.latitude * 1e-7, m.longitude * 1e-7, m.altitude * 1e-3)
+
+
 def _read_battery(m: Message) -> Battery:
     return Battery(m.battery_remaining / 100)
 
@@ -359,6 +369,7 @@ _PAIRS: list[tuple[type, int, Callable[[Any], Message], Callable[[Message], Any]
     (Ping, mavlink.MAVLINK_MSG_ID_PING, _ping, _read_ping),
     (StatusText, mavlink.MAVLINK_MSG_ID_STATUSTEXT, _statustext, _read_statustext),
     (LandedState, mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE, _landed, _read_landed),
+    (Origin, mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN, _origin, _read_origin),
     (MissionRequestList, mavlink.MAVLINK_MSG_ID_MISSION_REQUEST_LIST, _mission_list, _read_mission_list),
     (MissionCount, mavlink.MAVLINK_MSG_ID_MISSION_COUNT, _mission_count, _read_mission_count),
     (ServerVersion, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION, _version, _read_version),

@@ -9,7 +9,7 @@ import numpy as np
 from bridge.wire.dialect import Message, mavlink
 from bridge.wire.frames import Packed, pack, packed
 from bridge.wire.messages import encode, odometry
-from bridge.wire.values import LandedState, VehicleAttitude, VehiclePosition
+from bridge.wire.values import LandedState, Origin, VehicleAttitude, VehiclePosition
 from cablequad import lie
 from cablequad.types import Array
 
@@ -27,6 +27,11 @@ class Home(NamedTuple):
 
 
 ORIGIN = np.zeros(3)
+
+
+def origin(home: Home) -> Packed:
+    """GPS_GLOBAL_ORIGIN: where local (0, 0, 0) lies."""
+    return encode(Origin(home.latitude_deg, home.longitude_deg, home.altitude_m))
 
 
 class Snapshot(NamedTuple):
@@ -226,4 +231,5 @@ BUILD: dict[int, Callable[[Snapshot], Packed]] = {
     mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: _cold(_estimator),
     mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: _cold(_battery),
     mavlink.MAVLINK_MSG_ID_HOME_POSITION: _cold(_home),
+    mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: lambda s: origin(s.home),
 }

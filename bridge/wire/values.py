@@ -164,6 +164,14 @@ class LandedState(NamedTuple):
     landed: int
 
 
+class Origin(NamedTuple):
+    """GPS_GLOBAL_ORIGIN (#49): where the origin of a system's local frame lies."""
+
+    latitude_deg: float
+    longitude_deg: float
+    altitude_m: float
+
+
 class Battery(NamedTuple):
     """SYS_STATUS (#1), as far as it is used."""
 

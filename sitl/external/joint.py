@@ -1,0 +1,285 @@
+"""Autopilots under one load, in joint lockstep: wait for all, step once, tell all.
+
+The physics' clock begins when every autopilot has come. Held vehicles stand on stands that leave their attitudes free;
+they are let go together once every one bears itself. Whoever stops answering or begins anew is left out, its rotors
+still, and the others have `GRACE_S` to be brought down before the run ends.
+"""
+
+import math
+import select
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from bridge.link import Link
+from bridge.wire.frames import Signer
+from bridge.wire.messages import encode
+from bridge.wire.telemetry import origin
+from bridge.wire.values import IN_AIR, ON_GROUND, LandedState, Timesync
+from sitl import tracker
+from sitl.external.ardupilot import ARDUPILOT_PORT, ArduPilotSeat
+from sitl.external.instruments import Grades, Instruments
+from sitl.external.px4 import PX4_PORT, SENSOR_US, Px4Seat
+from sitl.external.seat import Own, Seat, SeatError
+from sitl.failures import Broken
+from sitl.places import tracker_endpoints
+from sitl.plant import Truth
+from sitl.sensors import Sensors
+from sitl.settings import Event, Report, Settings, Sink, own_generator, plant_of
+
+FRAME_US = 1250  # the longest step: ArduCopter does not arm below 1.8 times its loop rate of 400 Hz
+GRACE_S = 20.0  # of the physics' clock, for those that are left
+CARRIED_S, STEADY = 0.5, 0.04  # what a vehicle gives must be more than its weight, and change by no more, for so long
+LANDED_US = 200_000
+REAL_TIME_S = 0.2  # behind the wall clock that is made up for
+
+
+class AutopilotError(Exception):
+    """An autopilot never came, stopped answering or began anew; the message says which, and since when."""
+
+
+class External(NamedTuple):
+    """Who flies instead of the built-in vehicles."""
+
+    kinds: tuple[str, ...]  # of each vehicle: arducopter or px4
+    connect_s: float = 90.0  # wall clock, for the last to come
+    silent_s: float = 5.0  # wall clock without an answer; SITL asks again after one
+
+
+def frame_us(physics_us: int) -> int:
+    """The joint step: whole physics steps, that fit into PX4's 4 ms. Raises ValueError where none does."""
+    for steps in range(FRAME_US // physics_us, 0, -1):
+        if SENSOR_US % (steps * physics_us) == 0:
+            return steps * physics_us
+    raise ValueError(
+        f"physics.rate_hz: a step of {physics_us} us does not fit autopilots; 1000 Hz does, and no less than 800 Hz"
+    )
+
+
+class JointServer:
+    """The physics behind n autopilots; looks to its owner like `sitl.server.Server`."""
+
+    def __init__(self, settings: Settings, sink: Sink) -> None:
+        """Raises LinkError where a port is taken."""
+        s, external = settings, settings.external
+        assert external is not None
+        self.settings, self._external, self._sink = s, external, sink
+        self.n = n = len(s.system.m)
+        self._frame_us = frame_us(s.physics_us)
+        self.plant = plant_of(s._replace(around=s.around._replace(driven=True)))
+        self._sensors = Sensors(s.noise, own_generator(s.seed, "sensors"))
+        signer = Signer(s.signing_key, s.accept_unsigned_telemetry) if s.signing_key is not None else None
+        self.link = Link(list(tracker_endpoints(s.port_offset, s.host)), signer)
+        self.seats: list[Seat] = []
+        try:
+            for i, kind in enumerate(external.kinds):
+                self.seats.append(self._seat(i, kind))
+        except BaseException:
+            self.close()
+            raise
+        self._gone: dict[int, str] = {}
+        self._ends_us: int | None = None
+        self._broken = Broken(s.failures, n)
+        self._released_us: int | None = None
+        self._bears: list[tuple[int, float]] = [(0, 0.0)] * n  # since when a vehicle gives as much, N
+        self._v = self.plant.kinematics()[1]
+        self._force = np.tile(np.array([0.0, 0.0, -s.system.g]), (n, 1))
+        self.now_us = 0
+        self._steps = 0
+        self._pace_from: tuple[int, float] | None = None
+
+    def _seat(self, i: int, kind: str) -> Seat:
+        s = self.settings
+        if kind == "arducopter":
+            return ArduPilotSeat(i + 1, (s.host, ARDUPILOT_PORT + s.port_offset + 10 * i))
+        instruments = Instruments(Grades(), own_generator(s.seed, f"instruments {i + 1}"))
+        return Px4Seat(i + 1, (s.host, PX4_PORT + s.port_offset + i), s.home, instruments)
+
+    # -- the run -------------------------------------------------------------------------------------------------------
+
+    def run(self, stop: Callable[[], bool]) -> Report:
+        """Serve until `stop()`. Raises AutopilotError where one is missing, PhysicsError if the motion diverges."""
+        if self._assemble(stop):
+            self._tell()
+            while not stop():
+                self._gather(stop)
+                self._step()
+                self._tell()
+                self._listen()
+                self._end_after_grace()
+        return self.report()
+
+    def report(self) -> Report:
+        """How it went so far."""
+        tallies = [seat.tally for seat in self.seats]
+        refused = {verdict.value: count for verdict, count in self.link.counters.refused.items()}
+        for word in ("refused", "repeated", "stale"):
+            refused[f"physics packets {word}"] = sum(getattr(t, word) for t in tallies)
+        sent = sum(self.link.counters.sent_on[:1])
+        return Report(self._steps, 0, 0, (), sent, 0, 0, 0, 0, 0, self.link.counters.bad, refused)
+
+    def close(self) -> None:
+        """Release the sockets."""
+        self.link.close()
+        for seat in self.seats:
+            seat.close()
+
+    def _assemble(self, stop: Callable[[], bool]) -> bool:
+        """Wait for everyone; whether all have come."""
+        deadline = time.monotonic() + self._external.connect_s
+        told: set[int] = set()
+        while not stop():
+            for i, seat in enumerate(self.seats):
+                try:
+                    seat.hear()
+                except SeatError as error:
+                    raise AutopilotError(f"{seat.who} {error}, before all had come") from None
+                if seat.present and i not in told:
+                    told.add(i)
+                    self._sink(Event(0, "autopilot", f"vehicle {i + 1}", f"{seat.who} has come"))
+            if len(told) == self.n:
+                return True
+            if time.monotonic() > deadline:
+                missing = "; ".join(seat.who for seat in self.seats if not seat.present)
+                raise AutopilotError(
+                    f"{missing}: no autopilot came within {self._external.connect_s:g} s; is it running, and told to "
+                    "use this address for its physics?"
+                )
+            self._wait(0.05, self.seats)
+        return False
+
+    def _gather(self, stop: Callable[[], bool]) -> None:
+        """Until everybody has said what it does now, and the wall clock is no longer behind."""
+        deadline = time.monotonic() + self._external.silent_s
+        while True:
+            self._hear()
+            missing = [seat for i, seat in enumerate(self.seats) if i not in self._gone and not seat.settled]
+            if not missing:
+                break
+            if stop():
+                return
+            if time.monotonic() > deadline:
+                for seat in missing:
+                    self._lose(seat, f"has not answered since t = {self.now_us * 1e-6:.3f} s")
+                continue
+            self._wait(0.05, missing)
+        self._pace(stop)
+
+    def _hear(self) -> None:
+        for i, seat in enumerate(self.seats):
+            if i in self._gone:
+                continue
+            try:
+                seat.hear()
+            except SeatError as error:
+                self._lose(seat, str(error))
+
+    def _wait(self, seconds: float, seats: list[Seat]) -> None:
+        sockets = [number for seat in seats for number in seat.sockets()]
+        select.select(sockets, (), (), seconds)
+
+    def _pace(self, stop: Callable[[], bool]) -> None:
+        """Not ahead of the wall clock: autopilots that do not pace themselves go as fast as they are told."""
+        speed = self.settings.speed
+        if math.isinf(speed):
+            return
+        if self._pace_from is None:
+            self._pace_from = (self.now_us, time.monotonic())
+        first, start = self._pace_from
+        ahead = start + (self.now_us - first) * 1e-6 / speed - time.monotonic()
+        if ahead < -REAL_TIME_S:
+            self._pace_from = None
+        while ahead > 0.0 and not stop():
+            time.sleep(min(ahead, 0.1))
+            ahead = start + (self.now_us - first) * 1e-6 / speed - time.monotonic()
+
+    def _step(self) -> None:
+        s = self.settings
+        share = np.array([seat.share if i not in self._gone else (0.0,) * 4 for i, seat in enumerate(self.seats)])
+        self.plant.drive(share * (s.airframe.max_thrust / 4.0)[:, None])
+        self.plant.advance(self._frame_us // s.physics_us)
+        self.now_us += self._frame_us
+        self._steps += 1
+        if self.plant.held:
+            self._release()
+        elif self._released_us is None:
+            self._begin(share)
+        for subject, text in self._broken.act(self.now_us, self._released_us, self.plant, []):
+            self._sink(Event(self.now_us, "failure", subject, text))
+
+    def _tell(self) -> None:
+        """What everybody feels and where it is, to those who wait for it; the load to its tracker; all to the log."""
+        s, now = self.settings, self.now_us
+        x, v = self.plant.kinematics()
+        R, Omega = self.plant.attitudes
+        if self._steps:
+            mean = (v - self._v) / (self._frame_us * 1e-6)
+            mean[:, 2] -= s.system.g
+            self._force = np.einsum("iba,ib->ia", R, mean)
+        self._v = v
+        for i, seat in enumerate(self.seats):
+            if i in self._gone or not seat.due(now):
+                continue
+            try:
+                seat.tell(Own(now, R[i], Omega[i], x[i], v[i], self._force[i]))
+            except SeatError as error:
+                self._lose(seat, str(error))
+        told = now % s.truth_us == 0
+        if told:
+            truth = self.plant.truth(now, x, v)
+            self._sink(truth)
+            if now % s.tick_us == 0:
+                self._track(truth)
+
+    def _track(self, truth: Truth) -> None:
+        s, now = self.settings, self.now_us
+        tracker.tell(self.link, (0, 1), self._sensors.tracked(truth), s.system.n_links, s.control_us)
+        if now % LANDED_US == 0 or now == self._released_us:
+            landed = encode(LandedState(ON_GROUND if self.plant.held else IN_AIR))
+            self.link.send(0, tracker.SYSTEM, tracker.COMPONENT, landed)
+        if now % tracker.HEARTBEAT_US == 0:
+            self.link.send(0, tracker.SYSTEM, tracker.COMPONENT, origin(s.home))
+        self.link.flush()
+
+    def _listen(self) -> None:
+        """Answer who asks the tracker for its time."""
+        for frame in self.link.poll(0.0):
+            if isinstance(frame.value, Timesync) and frame.value.tc1 == 0:
+                answer = encode(Timesync(self.now_us * 1000, frame.value.ts1))
+                self.link.send(frame.port, tracker.SYSTEM, tracker.COMPONENT, answer, frame.address)
+                self.link.flush()
+
+    # -- what happens --------------------------------------------------------------------------------------------------
+
+    def _release(self) -> None:
+        """Let go of everybody together once each bears itself: more than its weight, steadily, upwards."""
+        up = self.plant.thrust * self.plant.attitudes[0][:, 2, 2]
+        weight = self.settings.system.m * self.settings.system.g
+        for i, (_, level) in enumerate(self._bears):
+            if up[i] < weight[i] or abs(up[i] - level) > STEADY * level:
+                self._bears[i] = (self.now_us, float(up[i]))
+        if all(self.now_us - since >= CARRIED_S * 1e6 for since, _ in self._bears):
+            self.plant.held = False
+            self._released_us = self.now_us
+            self._sink(Event(self.now_us, "release", "all", "every vehicle bears itself: let go"))
+
+    def _begin(self, share: np.ndarray) -> None:
+        """On the ground, time since the release begins when all motors turn."""
+        if (share.sum(axis=1) > 0.0).all():
+            self._released_us = self.now_us
+            self._sink(Event(self.now_us, "release", "all", "all motors turn, on the ground"))
+
+    def _lose(self, seat: Seat, why: str) -> None:
+        i = self.seats.index(seat)
+        self._gone[i] = f"{seat.who} {why}"
+        self._sink(Event(self.now_us, "autopilot-lost", f"vehicle {i + 1}", f"{seat.who} {why}; its motors stop"))
+        if self._ends_us is None:
+            self._ends_us = self.now_us + round(GRACE_S * 1e6)
+        if len(self._gone) == self.n:
+            self._ends_us = self.now_us
+
+    def _end_after_grace(self) -> None:
+        if self._ends_us is not None and self.now_us >= self._ends_us:
+            raise AutopilotError("; ".join(self._gone.values()))

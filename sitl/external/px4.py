@@ -1,0 +1,175 @@
+"""PX4's HIL physics interface: a TCP server a vehicle; HIL_SENSOR and HIL_GPS out, HIL_ACTUATOR_CONTROLS in.
+
+HIL_SENSOR sets the firmware's clock; what comes back carries the time of the HIL_SENSOR that it answers. Until its
+allocator runs nothing comes back, and the clock goes on without it.
+
+A motor's control 0..1 is its speed as a share of the highest, and thrust goes with the square: hover at the root of
+m g / F_max, as for a stock quadrotor with THR_MDL_FAC 0.
+"""
+
+import math
+import socket
+
+from bridge.ports import Address, LinkError
+from bridge.wire.dialect import Message, mavlink
+from bridge.wire.telemetry import Home
+from cablequad import lie
+from sitl.external.instruments import Instruments
+from sitl.external.seat import Own, SeatError, Tally, geodetic
+
+PX4_PORT = 4560  # and 1 more for each instance
+SENSOR_US = 4_000  # IMU_INTEG_RATE 250
+MAG_US, BARO_US, GPS_US, TRUTH_US = 20_000, 20_000, 100_000, 20_000
+MOTORS = 4
+ACCEL_GYRO, MAG, BARO = 0x3F, 0x1C0, 0x1A00  # HIL_SENSOR_UPDATED_FLAGS
+SYSTEM, COMPONENT = 1, 51  # of a simulator
+
+
+def thrust_share(control: float) -> float:
+    """0..1: of its greatest thrust, that a rotor gives for a motor's control."""
+    return min(max(control, 0.0), 1.0) ** 2
+
+
+class Px4Seat:
+    """One PX4 behind its TCP port."""
+
+    def __init__(self, vehicle: int, bind: Address, home: Home, instruments: Instruments) -> None:
+        """`vehicle` counts from 1. Raises LinkError where the port is taken."""
+        self.who = f"vehicle {vehicle} (PX4, tcp {bind[0]}:{bind[1]})"
+        self.tally = Tally()
+        self.share = (0.0, 0.0, 0.0, 0.0)
+        self._home, self._instruments = home, instruments
+        self._mav = _codec()
+        self._peer: socket.socket | None = None
+        self._told_us = self._heard_us = -1
+        self._lockstep = False  # it has answered once
+        self._listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        self._listener.setblocking(False)
+        try:
+            self._listener.bind(bind)
+            self._listener.listen(1)
+        except OSError as error:
+            self._listener.close()
+            raise LinkError(
+                f"tcp {bind[0]}:{bind[1]}: {error.strerror}; another simulator may be running there (--port-offset)"
+            ) from None
+
+    @property
+    def present(self) -> bool:
+        return self._peer is not None
+
+    @property
+    def settled(self) -> bool:
+        return not self._lockstep or self._heard_us >= self._told_us
+
+    def sockets(self) -> list[int]:
+        return [self._listener.fileno()] + ([self._peer.fileno()] if self._peer is not None else [])
+
+    def hear(self) -> None:
+        self._accept()
+        while self._peer is not None:
+            try:
+                data = self._peer.recv(65536)
+            except BlockingIOError:
+                return
+            except OSError as error:
+                raise SeatError(f"its connection broke: {error.strerror}") from None
+            if not data:
+                raise SeatError("closed its connection")
+            for message in self._mav.parse_buffer(data) or []:
+                self._take(message)
+
+    def due(self, now_us: int) -> bool:
+        return now_us % SENSOR_US == 0
+
+    def tell(self, own: Own) -> None:
+        self._told_us = own.time_us
+        out = [self._sensor(own)]
+        if own.time_us % GPS_US == 0:
+            out.append(self._gps(own))
+        if own.time_us % TRUTH_US == 0:
+            out.append(self._truth(own))
+        assert self._peer is not None
+        try:
+            self._peer.sendall(b"".join(message.pack(self._mav) for message in out))
+            self._mav.seq = (self._mav.seq + len(out)) % 256
+            self.tally.answered += 1
+        except OSError as error:
+            raise SeatError(f"does not take what it is told: {error.strerror}") from None
+
+    def close(self) -> None:
+        self._listener.close()
+        if self._peer is not None:
+            self._peer.close()
+
+    def _accept(self) -> None:
+        try:
+            peer, _ = self._listener.accept()
+        except BlockingIOError:
+            return
+        if self._peer is not None:
+            peer.close()
+            raise SeatError("began anew: it connected a second time")
+        peer.setblocking(False)
+        peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._peer = peer
+
+    def _take(self, message: Message) -> None:
+        kind = message.get_msgId()
+        if kind == mavlink.MAVLINK_MSG_ID_BAD_DATA:
+            self.tally.refused += 1
+        elif kind == mavlink.MAVLINK_MSG_ID_HIL_ACTUATOR_CONTROLS:
+            motors = message.controls[:MOTORS]
+            if not all(math.isfinite(c) and abs(c) <= 1.0 for c in motors) or message.time_usec > self._told_us:
+                self.tally.refused += 1
+            elif message.time_usec < self._heard_us:
+                self.tally.stale += 1
+            else:
+                self.tally.repeated += message.time_usec == self._heard_us
+                self.tally.taken += 1
+                self._heard_us, self._lockstep = message.time_usec, True
+                a, b, c, d = (thrust_share(control) for control in motors)
+                self.share = (a, b, c, d)
+
+    def _sensor(self, own: Own) -> Message:
+        i, fields = self._instruments, ACCEL_GYRO
+        altitude = self._home.altitude_m - float(own.x[2])
+        mag, hPa = [0.0] * 3, 0.0
+        if own.time_us % MAG_US == 0:
+            fields |= MAG
+            mag = i.field_gauss(own.R).tolist()
+        if own.time_us % BARO_US == 0:
+            fields |= BARO
+            hPa = i.pressure_hPa(altitude)
+            altitude = i.altitude_m(hPa)
+        return mavlink.MAVLink_hil_sensor_message(
+            own.time_us, *i.acceleration(own.specific_force).tolist(), *i.rate(own.Omega).tolist(), *mag, hPa, 0.0,
+            altitude, i.temperature_C, fields, 0,
+        )  # fmt: skip
+
+    def _gps(self, own: Own) -> Message:
+        x, v = self._instruments.fix(own.x, own.v)
+        lat, lon, alt = geodetic(self._home, x)
+        north, east, down = (round(100 * c) for c in v.tolist())
+        speed = math.hypot(north, east)
+        course = round(math.degrees(math.atan2(east, north)) * 100) % 36000 if speed > 10 else 65535
+        return mavlink.MAVLink_hil_gps_message(
+            own.time_us, 3, round(lat * 1e7), round(lon * 1e7), round(alt * 1e3), 30, 40, round(speed), north, east,
+            down, course, 12,
+        )  # fmt: skip
+
+    def _truth(self, own: Own) -> Message:
+        lat, lon, alt = geodetic(self._home, own.x)
+        cm_s = [max(-32768, min(32767, round(100 * c))) for c in own.v.tolist()]
+        mg = [max(-32768, min(32767, round(a / 9.80665e-3))) for a in own.specific_force.tolist()]
+        return mavlink.MAVLink_hil_state_quaternion_message(
+            own.time_us, lie.quat_from_rotation(own.R).tolist(), *own.Omega.tolist(), round(lat * 1e7),
+            round(lon * 1e7), round(alt * 1e3), *cm_s, 0, 0, *mg,
+        )  # fmt: skip
+
+
+def _codec() -> Message:
+    codec = mavlink.MAVLink(None, srcSystem=SYSTEM, srcComponent=COMPONENT)
+    codec.robust_parsing = True
+    return codec

@@ -1,0 +1,98 @@
+"""What a server of vehicles needs to know, and what it tells: the same for built-in vehicles and for autopilots."""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from bridge.faults import Faults
+from bridge.wire.telemetry import Home
+from cablequad.attitude import Airframe
+from cablequad.noise import Noise
+from cablequad.state import State
+from cablequad.system import System
+from sitl.failures import Failure
+from sitl.plant import Plant, Surroundings, Truth
+from sitl.wind import Weather, Wind
+
+if TYPE_CHECKING:
+    from sitl.external.joint import External
+
+HOST = "127.0.0.1"
+
+
+class Settings(NamedTuple):
+    """Everything the server needs to know; times are microseconds of the vehicles' clock."""
+
+    system: System
+    airframe: Airframe
+    initial: State
+    physics_us: int
+    tick_us: int
+    truth_us: int  # between the states that the sink is told; a tick is a whole number of them
+    control_us: int  # the tracker's rate, which is the controller's
+    delay_us: int
+    lockstep: bool
+    await_controller: bool  # hold the clock at the first tick until a controller answers it
+    speed: float  # wall-clock factor where nobody holds the clock
+    answer_timeout_s: float  # wall clock: how long a tick waits for its answers
+    port_offset: int = 0
+    host: str = HOST
+    home: Home = Home()
+    firmware: tuple[str, ...] = ()  # the persona of each vehicle; px4 where it is not said
+    parameters: tuple[dict[str, float], ...] = ()  # set before boot, for each vehicle
+    ready_us: tuple[int | None, ...] = ()  # when each estimator has a position; None: as the firmware takes
+    loose: bool = False  # the vehicles alone on the ground: no load, no cables, no tracker
+    faults: tuple[Faults, ...] = ()  # of what each vehicle receives
+    faults_down: tuple[Faults, ...] = ()  # of what each vehicle sends, for clients that have no faults of their own
+    seed: int = 0
+    signing_key: bytes | None = None
+    accept_unsigned_telemetry: bool = False
+    thrust_scale: tuple[float, ...] = ()  # N that each vehicle's rotors give for one that is asked; 1 where not said
+    around: Surroundings = Surroundings()
+    weather: Weather | None = None
+    noise: Noise = Noise()
+    failures: tuple[Failure, ...] = ()
+    external: "External | None" = None  # autopilots of their own instead of the built-in vehicles
+
+
+class Event(NamedTuple):
+    """Something that happened among the vehicles."""
+
+    boot_us: int
+    kind: str
+    subject: str
+    text: str
+
+
+class Report(NamedTuple):
+    """How the server kept its time."""
+
+    ticks: int
+    missed_answers: int  # lockstep: ticks whose setpoint did not come in time
+    missed_deadlines: int  # paced: ticks that began more than a tick late
+    lateness_s: tuple[float, ...]  # paced: how late each tick began
+    sent: int  # frames to whoever is on the vehicles' onboard links and the tracker's
+    received: int  # frames on the vehicles' onboard links
+    passed: int  # of those received, and let through by [faults]
+    lost: int  # of those received, and taken by [faults]
+    duplicated: int
+    waiting: int
+    bad: int  # frames on any port that did not parse or made no sense
+    refused: dict[str, int]  # frames on any port, by what was wrong with their signature
+
+
+Sink = Callable[[Truth | Event], None]
+
+
+def own_generator(seed: int, what: str) -> np.random.Generator:
+    """The generator of one part of the world, the same for the same seed whatever the other parts draw."""
+    return np.random.default_rng([seed, *what.encode()])
+
+
+def plant_of(s: Settings) -> Plant:
+    """The world that the settings describe, with its load."""
+    h = s.physics_us * 1e-6
+    wind = Wind(s.weather, h, own_generator(s.seed, "wind")) if s.weather is not None else None
+    scale = np.array(s.thrust_scale) if s.thrust_scale else None
+    return Plant(s.system, s.airframe, s.initial, h, scale, s.around, wind)
