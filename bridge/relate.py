@@ -16,6 +16,7 @@ from cablequad.types import Array
 
 ASK_S, ASK_LATER_S, SETTLED = 0.1, 1.0, 20  # wall clock; round trips until it is asked less often
 ENOUGH = 5  # round trips
+STEP_NS = 5_000_000  # simulated clocks go in steps: what one tells may be as old as its step
 SLOW_NS = 200_000_000  # a round trip that tells nothing
 BREATHS = 16  # questions that are remembered
 
@@ -98,7 +99,7 @@ class Relation:
             return []
         out = []
         for k in list(told) if system == self._tracker else [system]:
-            within = max(told[k][1], told[self._tracker][1])
+            within = max(told[k][1], told[self._tracker][1]) + STEP_NS
             if (
                 k in self._clocks
                 and within < SLOW_NS

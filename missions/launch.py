@@ -61,7 +61,7 @@ def _binary(path: Path | None, name: str) -> Path:
 
 
 def _ardupilot(flight: Flight, i: int, binary: Path, offset: int, host: str, speed: float) -> Launch:
-    if offset % 10:
+    if offset % 10 and binary.is_absolute():
         raise ScenarioError(f"--port-offset {offset}: ArduPilot's ports move in steps of 10")
     home = Home()
     rate = round(1e6 / frame_us(flight.physics_us))
@@ -75,7 +75,7 @@ def _ardupilot(flight: Flight, i: int, binary: Path, offset: int, host: str, spe
 
 
 def _px4(flight: Flight, i: int, binary: Path, offset: int, speed: float) -> Launch:
-    if offset:
+    if offset and binary.is_absolute():
         raise ScenarioError(f"--port-offset {offset}: PX4's ports go by its instance alone; leave it out")
     root = binary.parent.parent
     environment = {"PX4_SIM_MODEL": "none_iris", "PX4_SIM_SPEED_FACTOR": f"{speed if math.isfinite(speed) else 10:g}"}

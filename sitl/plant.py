@@ -22,7 +22,9 @@ from sitl.wind import Wind
 
 LANDED_THRUST = 0.6  # of its weight: a vehicle that gives less, with its feet on the ground, is landing
 LANDED_S = 0.3
+LOOK_S = 0.004  # how often it is looked at
 CUT_REACH_M = 1.0
+WIND_AHEAD = 60  # steps that are drawn at a time
 ARM_M, DRAG_M = 0.17, 0.02  # of rotors that nothing is said of
 
 
@@ -124,6 +126,7 @@ class Plant:
         self.grounded = self.around.ground_z is not None
         self._thrust_scale = np.ones(len(system.m)) if thrust_scale is None else thrust_scale.copy()
         self._wind = wind
+        self._blows = np.zeros((0, 3))  # m/s: of the wind, already drawn
         self._rotors = self.around.rotors or _instant(airframe)
         a = self.around
         self._plain = a.air is None and a.rotors is None and a.ground_z is None and a.downwash == 0.0 and not a.driven
@@ -157,6 +160,7 @@ class Plant:
         self._offset = np.zeros(3)  # of the load's centre of mass, in its frame, from where it was
         self._standing = [self.grounded and not self.around.airborne] * n
         self._settled_s = [0.0] * n
+        self._since_look = 0.0
 
     def _world(self, system: System, corners: Array, members: list[int]) -> World:
         a, n = self.around, len(self.system.m)
@@ -229,7 +233,10 @@ class Plant:
         if not self._plain:
             self.thrust = thrust
         if self.grounded:
-            self._detect_landing(steps * self.h)
+            self._since_look += steps * self.h
+            if self._since_look >= LOOK_S - 1e-9:
+                self._detect_landing(self._since_look)
+                self._since_look = 0.0
 
     def _detect_landing(self, passed_s: float) -> None:
         for part in self._parts:
@@ -324,7 +331,11 @@ class Plant:
 
     def _air(self, steps: int) -> Array | None:
         """(steps, 3) m/s, W: how the air moves in the next steps."""
-        wind = self._wind.next(steps) if self._wind is not None else None
+        wind = None
+        if self._wind is not None:
+            if len(self._blows) < steps:
+                self._blows = np.concatenate([self._blows, self._wind.next(WIND_AHEAD + steps)])
+            wind, self._blows = self._blows[:steps], self._blows[steps:]
         if wind is None and not self._plain:
             wind = np.zeros((steps, 3))
         if wind is not None and self._gust_at < self._gust_s:

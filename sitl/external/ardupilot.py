@@ -8,7 +8,6 @@ t = (1 - e) c + e c^2 with c = (pwm' - MOT_SPIN_MIN) / (MOT_SPIN_MAX - MOT_SPIN_
 e = MOT_THST_EXPO. Rotor speed goes with the root of t. So a throttle of F / F_max gives F.
 """
 
-import json
 import socket
 import struct
 from typing import NamedTuple
@@ -60,16 +59,19 @@ def thrust_share(pwm: int) -> float:
     return (1.0 - EXPO) * c + EXPO * c * c
 
 
+LINE = (
+    '\n{"timestamp":%.6f,"imu":{"gyro":[%.9g,%.9g,%.9g],"accel_body":[%.9g,%.9g,%.9g]},"position":[%.9g,%.9g,%.9g],'
+    '"quaternion":[%.9g,%.9g,%.9g,%.9g],"velocity":[%.9g,%.9g,%.9g]}\n'
+)
+
+
 def line(own: Own) -> bytes:
     """The answer to a servo packet: no space after a colon, each key once, a newline before and after."""
-    state = {
-        "timestamp": own.time_us * 1e-6,
-        "imu": {"gyro": own.Omega.tolist(), "accel_body": own.specific_force.tolist()},
-        "position": own.x.tolist(),
-        "quaternion": lie.quat_from_rotation(own.R).tolist(),
-        "velocity": own.v.tolist(),
-    }
-    return f"\n{json.dumps(state, separators=(',', ':'), allow_nan=False)}\n".encode()
+    numbers = (
+        *own.Omega.tolist(), *own.specific_force.tolist(), *own.x.tolist(), *lie.quat_from_rotation(own.R).tolist(),
+        *own.v.tolist(),
+    )  # fmt: skip
+    return (LINE % (own.time_us * 1e-6, *numbers)).encode()
 
 
 class ArduPilotSeat:

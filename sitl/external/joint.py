@@ -153,8 +153,9 @@ class JointServer:
     def _gather(self, stop: Callable[[], bool]) -> None:
         """Until everybody has said what it does now, and the wall clock is no longer behind."""
         deadline = time.monotonic() + self._external.silent_s
+        missing = self.seats
         while True:
-            self._hear()
+            self._hear(missing)
             missing = [seat for i, seat in enumerate(self.seats) if i not in self._gone and not seat.settled]
             if not missing:
                 break
@@ -167,9 +168,9 @@ class JointServer:
             self._wait(0.05, missing)
         self._pace(stop)
 
-    def _hear(self) -> None:
-        for i, seat in enumerate(self.seats):
-            if i in self._gone:
+    def _hear(self, seats: list[Seat]) -> None:
+        for seat in seats:
+            if self.seats.index(seat) in self._gone:
                 continue
             try:
                 seat.hear()
