@@ -172,10 +172,12 @@ class MissionDecider:
         """Observe those that are left, as taut or as slack as things are now."""
         m = self.mission
         if m.members != self._members:
+            rest, before = [self._members.index(k) for k in m.members], self.observer
             self._members = list(m.members)
             air = Airframe(*(field[self._members].copy() for field in self._loop.airframe))
             filter = m.filters.get(frozenset(m.lost))
             self.observer = Observer(self._loop._replace(system=m.design.system, airframe=air, filter=filter))
+            self.observer.inherit(before, rest)
             self.observer.slack(self._slack)
         slack = not m.hanging
         if slack != self._slack or (m.released and not self._begun):

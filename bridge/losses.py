@@ -11,6 +11,7 @@ from cablequad.types import Array
 
 NO_FOLLOW_RAD, NO_FOLLOW_S = 0.7, 0.2
 SAGGED, CUT, CUT_M, GONE_S = 0.8, 1.06, 0.1, 0.08  # of a cable's length
+SILENT_S = 0.5  # after which what goes wrong is put down to who is silent
 FRESH_S = 0.15  # old is a vehicle's word of where it is
 
 
@@ -57,6 +58,12 @@ class Losses:
             if not loss.why:
                 self._since.pop(k, None)
             elif now - self._since.setdefault(k, now) >= wait:
+                silent = int(np.argmax(sight.x_age_s))
+                age_s = float(sight.x_age_s[silent])
+                if age_s > SILENT_S and now < act_at:  # where the others are is its doing
+                    return Loss(
+                        silent, f"nothing heard of it for {age_s:.1f} s, and the load does not hang", False, False
+                    )
                 return loss
         return None
 

@@ -36,6 +36,7 @@ CLEAR_M = 0.35  # straight up first, and down last
 NEAR_M, SLOW_M_S = 0.12, 0.15  # at rest where it should be
 STILL_S = 0.5
 STRAIGHT = 0.97  # of a cable's length
+SLACK = frozenset({Phase.TAKE_OFF, Phase.TENSION, Phase.RELEASE}) - LOADED  # nobody carries yet, or any more
 BELOW_M = 0.15  # how far below the ground the load is led when it is set down
 SLOWLY_M = 0.12  # above the ground, from where it is set down slowly
 STANDS_M_S, PUSHED_M = 0.05, 0.05
@@ -187,7 +188,7 @@ class Mission:
         self.now, self._heard = now, sight
         self._entered += self._clock.tick()
         self._look_out(sight)
-        if self.phase is not None and not self.phase_done and self._over(sight):
+        if self.phase is not None and not self.phase_done and self._over(self.here):
             self.phase_done = True
         self._run_script()
         if self.phase is not None and not self.phase_done and now - self._entered > self.plan.limits_s[self.phase]:
@@ -506,6 +507,11 @@ class Mission:
         for guard in healed:
             self._tell("guard", guard.name, "holds again")
             self.resume(guard.name)
+        if self.plan.protect and self.phase in SLACK:
+            gone = [(k, self.fleet.departed[k]) for k in self.members if k in self.fleet.departed]
+            for k, (at, why) in gone:
+                if self.now >= at:
+                    self._lose(Loss(self.members.index(k), why, off=False, sound=True))
         if self.plan.protect and self.phase in LOADED:
             R_c = None if self._last is None else self._last.R_c
             loss = self._losses.look(
@@ -536,6 +542,12 @@ class Mission:
         self._each.keep(self.here.x)
         self._R_before = self._R_before[rest].copy()
         self._memory, self._last = first_memory(self.design), None
+        if self.phase in SLACK:
+            none = np.zeros(len(rest))
+            self._hang(none, none)
+            self.phase_done = True
+            self.abort(f"vehicle {k + 1}: {loss.why}; the others land")
+            return
         off = self.plan.hooks or loss.off
         if off and not self.by_itself and self._rig.can_carry():
             self._tell("crew", "all", f"{len(rest)} vehicles carry the load on")

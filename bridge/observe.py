@@ -152,6 +152,15 @@ class Observer:
         self._told_R: dict[int, VehicleAttitude] = {}
         self._told_x, self._told_v = np.full((self._n, 3), np.nan), np.zeros((self._n, 3))
 
+    def inherit(self, before: "Observer", rest: list[int]) -> None:
+        """Know what `before` was told last by those of its vehicles (from 0) that are left: the silent say no more."""
+        self._told_load = before._told_load
+        for own, i in enumerate(rest):
+            self._told_ms[own] = before._told_ms[i]
+            self._told_x[own], self._told_v[own] = before._told_x[i], before._told_v[i]
+            if i in before._told_R:
+                self._told_R[own] = before._told_R[i]
+
     def feed(self, source: int, value: object) -> None:
         """Take one value from the vehicle with system id `source`, or from the tracker."""
         match value:

@@ -105,6 +105,8 @@ class _Watch:
 
 def run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary, bool]:
     """Fly; the summary, and whether the user interrupted. What goes wrong is the summary's reason, no exception."""
+    if options.backend != "builtin":
+        flight = without_hooks(flight)
     design = scenarios.design(flight)
     for note in flight.notes:
         progress.say(note)
@@ -217,6 +219,14 @@ def _run(flight: Flight, design: Design, options: Options, progress: Progress) -
         link.close()
 
 
+def without_hooks(flight: Flight) -> Flight:
+    """The flight with cables that nobody can let go of: a gripper is not part of an autopilot's physics."""
+    s = flight.scenario
+    if s.mission is None or not s.mission.hooks:
+        return flight
+    return flight._replace(scenario=s.model_copy(update={"mission": s.mission.model_copy(update={"hooks": False})}))
+
+
 def _starts(flight: Flight, options: Options) -> list[Launch]:
     return launches(flight, options.backend, options.launch, options.port_offset, HOST, options.speed)
 
@@ -241,6 +251,9 @@ def _wire(link: Link, simulator: Simulator | None, tallies: list[Tally], unread:
     if simulator is None or simulator.report is None:
         return {**down, **up}
     r = simulator.report
+    physics = {key.replace(" ", "_"): count for key, count in r.refused.items() if key.startswith("physics")}
+    if physics:
+        return {"down_sent": r.sent, **down, **up, **physics}
     return {
         "down_sent": r.sent, **down, **up, "up_received": r.received, "up_passed": r.passed, "up_lost": r.lost,
         "up_duplicated": r.duplicated, "up_waiting": r.waiting,

@@ -30,7 +30,7 @@ from sitl.sensors import Sensors
 from sitl.settings import Event, Report, Settings, Sink, own_generator, plant_of
 
 FRAME_US = 1250  # the longest step: ArduCopter does not arm below 1.8 times its loop rate of 400 Hz
-GRACE_S = 20.0  # of the physics' clock, for those that are left
+GRACE_S = 30.0  # of the physics' clock, for those that are left
 CARRIED_S, STEADY = 0.5, 0.04  # what a vehicle gives must be more than its weight, and change by no more, for so long
 LANDED_US = 200_000
 REAL_TIME_S = 0.2  # behind the wall clock that is made up for
@@ -45,7 +45,7 @@ class External(NamedTuple):
 
     kinds: tuple[str, ...]  # of each vehicle: arducopter or px4
     connect_s: float = 90.0  # wall clock, for the last to come
-    silent_s: float = 5.0  # wall clock without an answer; SITL asks again after one
+    silent_s: float = 2.5  # wall clock without an answer; SITL asks again after one
 
 
 def frame_us(physics_us: int) -> int:

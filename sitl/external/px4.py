@@ -9,9 +9,11 @@ m g / F_max, as for a stock quadrotor with THR_MDL_FAC 0.
 
 import math
 import socket
+from typing import NamedTuple
 
 from bridge.ports import Address, LinkError
 from bridge.wire.dialect import Message, mavlink
+from bridge.wire.frames import checksum, unpack
 from bridge.wire.telemetry import Home
 from cablequad import lie
 from sitl.external.instruments import Instruments
@@ -23,11 +25,55 @@ MAG_US, BARO_US, GPS_US, TRUTH_US = 20_000, 20_000, 100_000, 20_000
 MOTORS = 4
 ACCEL_GYRO, MAG, BARO = 0x3F, 0x1C0, 0x1A00  # HIL_SENSOR_UPDATED_FLAGS
 SYSTEM, COMPONENT = 1, 51  # of a simulator
+MAGIC, LONGEST = 0xFD, 280  # of MAVLink 2 frames
+CONTROLS = mavlink.MAVLink_hil_actuator_controls_message
 
 
 def thrust_share(control: float) -> float:
     """0..1: of its greatest thrust, that a rotor gives for a motor's control."""
     return min(max(control, 0.0), 1.0) ** 2
+
+
+class Controls(NamedTuple):
+    """HIL_ACTUATOR_CONTROLS, as far as it is used."""
+
+    time_us: int  # of the HIL_SENSOR that it answers
+    motors: tuple[float, ...]
+
+
+def split(data: bytes) -> tuple[list[Controls], bytes, int]:
+    """What a stream of MAVLink 2 says of motors, the rest that may become a frame, and how often it made no sense.
+
+    A frame that is not whole yet does not hide a whole one behind it: after damage nobody waits for bytes of a frame
+    that never was.
+    """
+    out: list[Controls] = []
+    at, end, refused, unfinished, damaged = 0, len(data), 0, -1, False
+    while at < end:
+        last = at + 12 + (data[at + 1] if at + 1 < end else 0)
+        if data[at] != MAGIC:
+            refused += not damaged
+            at, damaged = at + 1, True
+        elif last > end:
+            unfinished = at if unfinished < 0 else unfinished
+            at += 1
+            damaged = True
+        else:
+            msgid = data[at + 7] | data[at + 8] << 8 | data[at + 9] << 16
+            kind = mavlink.mavlink_map.get(msgid)
+            body = data[at + 1 : last - 2]
+            right = (
+                kind is not None and checksum(body + bytes((kind.crc_extra,))) == data[last - 2] | data[last - 1] << 8
+            )
+            if not right and unfinished < 0:
+                refused += not damaged
+            at, damaged = (last, False) if right else (at + 1, True)
+            unfinished = -1 if right else unfinished
+            if right and msgid == CONTROLS.id:
+                time_us, _, *rest = unpack(CONTROLS, body[9:])
+                out.append(Controls(time_us, tuple(rest[:MOTORS])))
+    kept = data[unfinished:] if unfinished >= 0 else b""
+    return out, kept[-LONGEST:], refused
 
 
 class Px4Seat:
@@ -39,7 +85,8 @@ class Px4Seat:
         self.tally = Tally()
         self.share = (0.0, 0.0, 0.0, 0.0)
         self._home, self._instruments = home, instruments
-        self._mav = _codec()
+        self._mav = mavlink.MAVLink(None, srcSystem=SYSTEM, srcComponent=COMPONENT)
+        self._rest = b""
         self._peer: socket.socket | None = None
         self._told_us = self._heard_us = -1
         self._lockstep = False  # it has answered once
@@ -77,8 +124,10 @@ class Px4Seat:
                 raise SeatError(f"its connection broke: {error.strerror}") from None
             if not data:
                 raise SeatError("closed its connection")
-            for message in self._mav.parse_buffer(data) or []:
-                self._take(message)
+            said, self._rest, refused = split(self._rest + data)
+            self.tally.refused += refused
+            for controls in said:
+                self._take(controls)
 
     def due(self, now_us: int) -> bool:
         return now_us % SENSOR_US == 0
@@ -115,22 +164,18 @@ class Px4Seat:
         peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._peer = peer
 
-    def _take(self, message: Message) -> None:
-        kind = message.get_msgId()
-        if kind == mavlink.MAVLINK_MSG_ID_BAD_DATA:
+    def _take(self, said: Controls) -> None:
+        possible = all(math.isfinite(c) and abs(c) <= 1.0 for c in said.motors)
+        if not possible or said.time_us > self._told_us:
             self.tally.refused += 1
-        elif kind == mavlink.MAVLINK_MSG_ID_HIL_ACTUATOR_CONTROLS:
-            motors = message.controls[:MOTORS]
-            if not all(math.isfinite(c) and abs(c) <= 1.0 for c in motors) or message.time_usec > self._told_us:
-                self.tally.refused += 1
-            elif message.time_usec < self._heard_us:
-                self.tally.stale += 1
-            else:
-                self.tally.repeated += message.time_usec == self._heard_us
-                self.tally.taken += 1
-                self._heard_us, self._lockstep = message.time_usec, True
-                a, b, c, d = (thrust_share(control) for control in motors)
-                self.share = (a, b, c, d)
+        elif said.time_us < self._heard_us:
+            self.tally.stale += 1
+        else:
+            self.tally.repeated += said.time_us == self._heard_us
+            self.tally.taken += 1
+            self._heard_us, self._lockstep = said.time_us, True
+            a, b, c, d = (thrust_share(control) for control in said.motors)
+            self.share = (a, b, c, d)
 
     def _sensor(self, own: Own) -> Message:
         i, fields = self._instruments, ACCEL_GYRO
@@ -167,9 +212,3 @@ class Px4Seat:
             own.time_us, lie.quat_from_rotation(own.R).tolist(), *own.Omega.tolist(), round(lat * 1e7),
             round(lon * 1e7), round(alt * 1e3), *cm_s, 0, 0, *mg,
         )  # fmt: skip
-
-
-def _codec() -> Message:
-    codec = mavlink.MAVLink(None, srcSystem=SYSTEM, srcComponent=COMPONENT)
-    codec.robust_parsing = True
-    return codec

@@ -316,6 +316,14 @@ STREAMS = {
 }  # fmt: skip
 
 
+def throw(to, data):
+    """Send, whether anybody is there yet or not."""
+    try:
+        to.send(data)
+    except ConnectionRefusedError:
+        time.sleep(0.05)
+
+
 def ardupilot(o):
     copter = Copter(o, False)
     physics = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -325,6 +333,8 @@ def ardupilot(o):
     home = (47.397742, 8.545594, 488.0)
     begun, start = time.monotonic(), None
     while True:
+        if time.monotonic() - begun > 120:
+            return
         pwm = [1000] * 16
         if copter.armed:
             for k, s in enumerate(shares):
@@ -334,14 +344,12 @@ def ardupilot(o):
         packet = struct.pack("<HHI16H", 18458, 1000, frame, *pwm)
         if o.hostile and frame % 50 == 7:
             for bad in (b"", b"\x00" * 40, packet[:-3], packet + b"x" * 2000, struct.pack("<HHI16H", 18458, 1000, frame, *[65535] * 16)):
-                physics.send(bad)
-            physics.send(packet)  # and once more than needed
-        physics.send(packet)
+                throw(physics, bad)
+            throw(physics, packet)  # and once more than needed
+        throw(physics, packet)
         try:
             data = physics.recv(4096)
         except (TimeoutError, ConnectionRefusedError):
-            if time.monotonic() - begun > 120:
-                return
             if start is None:
                 time.sleep(0.1)
             continue
