@@ -23,6 +23,7 @@ from bridge.rig import Rig, yaw_of
 from bridge.sight import Sight
 from bridge.unready import unready
 from bridge.wire.dialect import mavlink
+from cablequad import lie
 from cablequad.design import Design
 from cablequad.estimate import Filter
 from cablequad.pilot import Measurement, Sample, first_memory, tick
@@ -99,6 +100,7 @@ class Mission:
         self._entered = 0.0  # s, when the phase began, later by as long as the plan's clock stood
         self._still_since: float | None = None
         self._touched_at: float | None = None
+        self._tilt, self._tilted_until = np.eye(3), 0.0  # of every vehicle, beyond what it is commanded
         self._taking = False
         self._aborted = False
         self._script: Coroutine[Any, Any, None] = script(self)
@@ -129,6 +131,16 @@ class Mission:
         """For a while, on the vehicles' clock."""
         end = self.now + seconds
         return Waiting(lambda: self.now >= end - 1e-9)
+
+    def tilt(self, turn: list[float], seconds: float) -> Waiting:
+        """Turn every vehicle by a rotation vector (rad, of its body) beyond what it is commanded, for a while.
+
+        Raises MissionError where they do not hover on slack cables.
+        """
+        if self.phase is not Phase.TAKE_OFF or not self.phase_done:
+            raise MissionError("tilt: only while all hover on slack cables, after take off")
+        self._tilt, self._tilted_until = lie.exp(np.array(turn)), self.now + seconds
+        return self.wait(seconds)
 
     def pause(self, who: str = "operator") -> None:
         """Stop the load where it is on its way, for as long as `who` wants."""
@@ -354,7 +366,10 @@ class Mission:
         else:
             each = self._each.fly(self.design, i.x, i.v, i.state.R, self._goals(), self._R_before)
             self._R_before = each.R_c
-            sample = sample._replace(A=each.A, R_c=each.R_c, f=each.f, Psi=each.Psi)
+            tilted = self.now < self._tilted_until - 1e-9
+            sample = sample._replace(
+                A=each.A, R_c=each.R_c @ self._tilt if tilted else each.R_c, f=each.f, Psi=each.Psi
+            )
         return sample
 
     def _as_before(self, sample: Sample) -> Sample:

@@ -7,8 +7,18 @@ from typing import Annotated
 
 import typer
 
-from missions.exits import FAILED, usage
-from missions.options import JsonOption, PortOffset, ScenarioArgument, load
+from missions.exits import FAILED, fail, usage
+from missions.options import (
+    BackendOption,
+    ConnectOption,
+    FirmwareOption,
+    JsonOption,
+    LaunchOption,
+    PortOffset,
+    ScenarioArgument,
+    backend,
+    load,
+)
 
 
 def check(
@@ -110,3 +120,73 @@ def preflight(
         console.print(f"page:   {target}", soft_wrap=True)
     if not go:
         raise typer.Exit(FAILED)
+
+
+def identify(
+    scenario: ScenarioArgument = "ground-to-ground",
+    out: Annotated[Path, typer.Option(help="Folder for the log and the scenario with what was found.")] = Path("runs"),
+    as_json: JsonOption = False,
+    port_offset: PortOffset = 0,
+    firmware: FirmwareOption = None,
+    backend_name: BackendOption = "builtin",
+    launch: LaunchOption = None,
+    connect: ConnectOption = None,
+) -> None:
+    """Tilt the vehicles a little while they hover on slack cables; find attitude response, delay and hover thrust.
+
+    Writes the scenario with what was found, which is then flown with a law designed for it. Exit code 1 if a vehicle
+    did not answer.
+    """
+    import math
+    from importlib import resources
+
+    from rich.console import Console
+    from rich.table import Table
+
+    from bridge.link import Endpoint, LinkError
+    from logs.reader import LogError
+    from missions.drills import changed
+    from missions.identify import identified, with_responses
+    from missions.report import progress
+    from missions.run import Options, run
+    from missions.scenario import ScenarioError
+
+    console = Console(width=None if sys.stdout.isatty() else 120, highlight=False, quiet=as_json)
+    who = backend(backend_name, firmware, launch)
+    try:
+        asked = load(scenario, None, None, firmware)
+        if asked.scenario.mission is None or asked.scenario.mission.start != "ground":
+            usage(
+                f"scenario {asked.scenario.name}: vehicles take off from the ground to be identified; add [ground] "
+                "and [mission], as ground-to-ground has"
+            )
+        unjudged = dict.fromkeys(type(asked.scenario.acceptance).model_fields)
+        flight = changed(asked, {"acceptance": asked.scenario.acceptance.model_copy(update=unjudged)})
+        script = (resources.files("missions") / "scripts" / "tilt_steps.py").read_text(encoding="utf-8")
+        ends = tuple(Endpoint.parse(url) for url in connect or ())
+        speed = math.inf if who == "builtin" and not ends else 1.0
+        options = Options(ends, out, speed, port_offset, True, backend=who, launch=launch)
+        with progress(as_json) as told:
+            summary, _ = run(flight._replace(script=script), options, told)
+        if not summary.passed or summary.log is None:
+            fail(f"{asked.scenario.name}: {summary.reason}")
+        found = identified(Path(summary.log), flight)
+    except (ScenarioError, LinkError) as error:
+        usage(str(error))
+    except LogError as error:
+        fail(str(error))
+    target = out / f"{asked.scenario.name}-identified.json"
+    target.write_text(json.dumps(with_responses(asked, found), indent=1), encoding="utf-8")
+    if as_json:
+        print(json.dumps({"vehicles": [r._asdict() for r in found], "scenario": str(target), "log": summary.log}))
+        return
+    table = Table(title=f"{asked.scenario.name}: how the vehicles answer", title_justify="left")
+    for column in ("vehicle", "bandwidth", "damping", "delay", "misfit", "hover thrust", "N made per N asked"):
+        table.add_column(column, justify="right")
+    for i, r in enumerate(found):
+        table.add_row(
+            str(i + 1), f"{r.bandwidth_rad_s:.1f} rad/s", f"{r.damping:.2f}", f"{1e3 * r.delay_s:.0f} ms",
+            f"{r.misfit_deg:.2f} deg", f"{100 * r.hover_share:.1f} %", f"{r.thrust_scale:.3f}",
+        )  # fmt: skip
+    console.print(table)
+    console.print(f"log:      {summary.log}\nscenario: {target}  (cablequad fly {target})", soft_wrap=True)

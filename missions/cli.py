@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from missions.before_cli import check, margins, preflight
+from missions.before_cli import check, identify, margins, preflight
 from missions.exits import FAILED, INTERRUPTED, fail, usage
 from missions.log_cli import log_app, report
 from missions.options import (
     BackendOption,
+    ConnectOption,
     FirmwareOption,
     JsonOption,
     KeyOption,
@@ -43,13 +44,7 @@ app.add_typer(log_app, name="log")
 @app.command()
 def fly(
     scenario: ScenarioArgument = "paper-case-1",
-    connect: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Fly what is there, start no simulator: udpin:HOST:PORT or udpout:HOST:PORT, one per vehicle and one "
-            "for the payload tracker."
-        ),
-    ] = None,
+    connect: ConnectOption = None,
     script: Annotated[
         Path | None,
         typer.Option(help="A Python file whose mission(course) says where the load goes, instead of [plan]."),
@@ -268,7 +263,7 @@ def replay(
     raise typer.Exit(code)
 
 
-for command in (check, margins, preflight, report):
+for command in (check, margins, preflight, identify, report):
     app.command()(command)
 
 

@@ -42,6 +42,13 @@ LaunchOption = Annotated[
         "Without it their command lines are printed."
     ),
 ]
+ConnectOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="Fly what is there, start no simulator: udpin:HOST:PORT or udpout:HOST:PORT, one per vehicle and one for "
+        "the payload tracker."
+    ),
+]
 KeyOption = Annotated[
     Path | None, typer.Option(help="Sign with the key in this file, and obey nothing that is not signed with it.")
 ]

@@ -127,6 +127,11 @@ class FleetOf:
         """For a while, on the vehicles' clock."""
         return self._mission.wait(_finite("seconds", seconds))
 
+    def tilt(self, roll_deg: float, pitch_deg: float, seconds: float) -> Waiting:
+        """Every vehicle further over than it flies by itself, for a while; while all hover on slack cables."""
+        turn = [math.radians(_finite("roll_deg", roll_deg)), math.radians(_finite("pitch_deg", pitch_deg)), 0.0]
+        return self._mission.tilt(turn, _finite("seconds", seconds))
+
     def pause(self) -> None:
         """Stop the load on its way."""
         self._mission.pause()

@@ -172,7 +172,9 @@ class Copter:
             self.say(mav.MAVLink_timesync_message(self.us * 1000, m.ts1))
         elif kind == "COMMAND_LONG" and m.target_system == self.system:
             for result in self.obey(m.command, m.param1, m.param2, m.param3):
-                self.say(mav.MAVLink_command_ack_message(m.command, result, 0, 0, m.get_srcSystem(), m.get_srcComponent()))
+                self.say(
+                    mav.MAVLink_command_ack_message(m.command, result, 0, 0, m.get_srcSystem(), m.get_srcComponent())
+                )
         elif kind == "PARAM_REQUEST_READ" and m.target_system == self.system:
             self.tell(m.param_id)
         elif kind == "PARAM_SET" and m.target_system == self.system and m.param_id in self.parameters:
@@ -267,7 +269,9 @@ class Copter:
                 share = min(max(thrust, 0.0), 1.0) ** 2
             else:
                 up = 1 - 2 * (q[1] ** 2 + q[2] ** 2)
-                share = min(max(thrust, 0.0), 1.0) * (min(1 / max(up, 0.1), 10.0) if self.parameters["ATC_ANGLE_BOOST"] else 1)
+                share = min(max(thrust, 0.0), 1.0) * (
+                    min(1 / max(up, 0.1), 10.0) if self.parameters["ATC_ANGLE_BOOST"] else 1
+                )
         else:
             q, share = self.by_itself(dt)
         self.share = min(share, 1.0)
@@ -316,6 +320,21 @@ STREAMS = {
 }  # fmt: skip
 
 
+class Capture:
+    """Packets of a stretch of time, a line each: in or out as the physics sees it, and hex."""
+
+    def __init__(self, o):
+        self.o, self.lines = o, []
+
+    def note(self, t, way, data):
+        if self.o.capture and self.o.capture_from <= t < self.o.capture_from + self.o.capture_for:
+            self.lines.append(f"{way} {data.hex()}")
+        elif self.lines:
+            with open(self.o.capture, "w") as out:
+                out.write("\n".join(self.lines) + "\n")
+            self.lines = []
+
+
 def throw(to, data):
     """Send, whether anybody is there yet or not."""
     try:
@@ -331,7 +350,7 @@ def ardupilot(o):
     physics.settimeout(1.0)
     frame, last, boot, shares = 0, None, None, (0.0,) * 4
     home = (47.397742, 8.545594, 488.0)
-    begun, start = time.monotonic(), None
+    begun, start, capture = time.monotonic(), None, Capture(o)
     while True:
         if time.monotonic() - begun > 120:
             return
@@ -343,7 +362,13 @@ def ardupilot(o):
         copter.pwm = pwm[:4]
         packet = struct.pack("<HHI16H", 18458, 1000, frame, *pwm)
         if o.hostile and frame % 50 == 7:
-            for bad in (b"", b"\x00" * 40, packet[:-3], packet + b"x" * 2000, struct.pack("<HHI16H", 18458, 1000, frame, *[65535] * 16)):
+            for bad in (
+                b"",
+                b"\x00" * 40,
+                packet[:-3],
+                packet + b"x" * 2000,
+                struct.pack("<HHI16H", 18458, 1000, frame, *[65535] * 16),
+            ):
                 throw(physics, bad)
             throw(physics, packet)  # and once more than needed
         throw(physics, packet)
@@ -366,6 +391,8 @@ def ardupilot(o):
                                home[2] - m["position"][2])  # fmt: skip
             place = m["position"]
         dt, last = t - last, t
+        capture.note(t, "in", packet)
+        capture.note(t, "out", data)
         e = copter.e
         e.q, e.w, e.v = tuple(m["quaternion"]), tuple(m["imu"]["gyro"]), tuple(m["velocity"])
         e.f = tuple(m["imu"]["accel_body"])
@@ -401,6 +428,7 @@ def px4(o):
             if time.monotonic() > deadline:
                 return
     physics.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    capture = Capture(o)
     out, parser, sensors = mav.MAVLink(None, o.instance + 1, 1), mav.MAVLink(None), 0
     physics.sendall(mav.MAVLink_heartbeat_message(0, 12, 0, 0, 0, 3).pack(out))
     physics.sendall(mav.MAVLink_command_long_message(0, 0, 511, 0, 115, 5000, 0, 0, 0, 0, 0).pack(out))
@@ -410,6 +438,7 @@ def px4(o):
             return
         for m in parser.parse_buffer(data) or []:
             kind = m.get_type()
+            capture.note(m.time_usec * 1e-6 if hasattr(m, "time_usec") else 0.0, "out", bytes(m.get_msgbuf()))
             if kind == "HIL_GPS":
                 copter.e.gps(m)
             if kind != "HIL_SENSOR":
@@ -432,8 +461,12 @@ def px4(o):
                 physics.sendall(b"\xfd\x10garbage" + bytes(30))
                 for c in ([math.nan] * 16, [1e30] * 16):
                     physics.sendall(mav.MAVLink_hil_actuator_controls_message(m.time_usec, c, flags, 1).pack(out))
-                physics.sendall(mav.MAVLink_hil_actuator_controls_message(m.time_usec + 10**9, controls, flags, 1).pack(out))
-            physics.sendall(mav.MAVLink_hil_actuator_controls_message(m.time_usec, controls, flags, 1).pack(out))
+                physics.sendall(
+                    mav.MAVLink_hil_actuator_controls_message(m.time_usec + 10**9, controls, flags, 1).pack(out)
+                )
+            answer = mav.MAVLink_hil_actuator_controls_message(m.time_usec, controls, flags, 1).pack(out)
+            capture.note(m.time_usec * 1e-6, "in", answer)
+            physics.sendall(answer)
 
 
 def main():
@@ -450,6 +483,9 @@ def main():
     p.add_argument("--inertia", type=float, nargs=3, default=(0.557e-2, 0.557e-2, 1.05e-2))
     p.add_argument("--die-at", type=float, default=0.0)
     p.add_argument("--restart-at", type=float, default=0.0)
+    p.add_argument("--capture")
+    p.add_argument("--capture-from", type=float, default=10.0)
+    p.add_argument("--capture-for", type=float, default=0.1)
     p.add_argument("--hostile", action="store_true")
     o = p.parse_args()
     (ardupilot if o.kind == "ardupilot" else px4)(o)

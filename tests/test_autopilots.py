@@ -1,0 +1,629 @@
+"""Autopilots of their own under the load: the two physics interfaces, joint lockstep, and stand-ins that fly it.
+
+The stand-ins (`tests/peers/autopilot.py`) are written from the protocols alone and import nothing of ours.
+"""
+
+import json
+import math
+import re
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import cablequad, flown, next_offset
+from hypothesis import given
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import common as mav
+
+from bridge.relate import Relation
+from bridge.wire.telemetry import Home
+from bridge.wire.values import Origin, Timesync, VehicleAttitude, VehiclePosition
+from cablequad import lie
+from logs.reader import Run, read
+from missions import scenario as scenarios
+from missions.identify import answers, fitted
+from missions.launch import ardupilot_parameters, authority, launches, px4_parameters
+from missions.scenario import ScenarioError
+from missions.simulate import Serving, settings
+from sitl.external import ardupilot, px4
+from sitl.external.ardupilot import ArduPilotSeat, PacketError, servos
+from sitl.external.instruments import Grades, Instruments
+from sitl.external.joint import AutopilotError, JointServer, frame_us
+from sitl.external.px4 import Px4Seat
+from sitl.external.seat import Own, SeatError
+from sitl.settings import plant_of
+
+GOLDEN = Path(__file__).parent / "golden"
+PEER = Path(__file__).parent / "peers" / "autopilot.py"
+MARK = 47.397742, 8.545594, 488.0
+
+
+def captured(name: str) -> list[tuple[str, bytes]]:
+    """The lines of a golden capture: which way as the physics sees it, and the bytes."""
+    lines = [line.split() for line in (GOLDEN / name).read_text().splitlines()]
+    return [(way, bytes.fromhex(data)) for way, data in lines]
+
+
+def simulator_json(text: bytes) -> dict[str, list[float]]:
+    """A line as SIM_JSON.cpp reads it: a search for the key, then numbers; its own little reader."""
+    assert text[:1] == b"\n"
+    assert text[-1:] == b"\n"
+    out = {}
+    for key, count in {
+        "timestamp": 1,
+        "gyro": 3,
+        "accel_body": 3,
+        "position": 3,
+        "quaternion": 4,
+        "velocity": 3,
+    }.items():
+        assert text.count(b'"' + key.encode() + b'"') == 1
+        at = text.index(b'"' + key.encode() + b'":') + len(key) + 3
+        if count > 1:
+            assert text[at : at + 1] == b"["
+            at += 1
+        out[key] = [float(n) for n in re.split(rb"[,\]}]", text[at:])[:count]]
+    return out
+
+
+def own(t: float = 0.004, **change: object) -> Own:
+    still = Own(round(t * 1e6), np.eye(3), np.zeros(3), np.zeros(3), np.zeros(3), np.array([0.0, 0.0, -9.81]))
+    return still._replace(**change)
+
+
+# -- golden packets ----------------------------------------------------------------------------------------------------
+
+
+def test_every_servo_packet_of_the_capture_is_read_as_it_was_sent() -> None:
+    frames = [servos(data) for way, data in captured("ardupilot-physics.txt") if way == "in"]
+    assert len(frames) == 100
+    assert [f.frame for f in frames] == list(range(frames[0].frame, frames[0].frame + 100))
+    shares = np.array([[ardupilot.thrust_share(p) for p in f.pwm[:4]] for f in frames])
+    assert shares.sum(axis=1) * 25.0 / 4 == pytest.approx(
+        9.05, abs=0.15
+    )  # N: it carries itself and a fourth of the load
+
+
+def test_every_answer_of_the_capture_is_made_again_byte_for_byte() -> None:
+    for way, data in captured("ardupilot-physics.txt"):
+        if way == "out":
+            n = {key: np.array(value) for key, value in simulator_json(data).items()}
+            R = lie.rotation_from_quat(n["quaternion"])
+            state = Own(round(n["timestamp"][0] * 1e6), R, n["gyro"], n["position"], n["velocity"], n["accel_body"])
+            again = simulator_json(ardupilot.line(state))
+            for key, value in n.items():
+                assert again[key] == pytest.approx(value.tolist(), abs=2e-9), key
+
+
+def test_a_stream_of_px4_is_read_whole_and_in_pieces_of_any_size() -> None:
+    stream = b"".join(data for way, data in captured("px4-physics.txt") if way == "in")
+    whole, rest, refused = px4.split(stream)
+    assert (len(whole), rest, refused) == (50, b"", 0)
+    assert np.diff([c.time_us for c in whole]) == pytest.approx(4000)
+    for size in (1, 7, 40, 81, 500):
+        pieces, rest = [], b""
+        for at in range(0, len(stream), size):
+            said, rest, refused = px4.split(rest + stream[at : at + size])
+            pieces += said
+            assert refused == 0
+        assert pieces == whole
+
+
+def test_what_px4_is_told_reads_as_its_own_dialect_says() -> None:
+    parser = mav.MAVLink(None)
+    told = [m for way, data in captured("px4-physics.txt") if way == "out" for m in parser.parse_buffer(data)]
+    sensors = [m for m in told if m.get_type() == "HIL_SENSOR"]
+    assert np.diff([m.time_usec for m in sensors]) == pytest.approx(4000)
+    assert {m.fields_updated & 0x3F for m in sensors} == {0x3F}
+    assert {m.id for m in sensors} == {0}
+    assert sum(bool(m.fields_updated & 0x1C0) for m in sensors) == len(sensors) / 5  # a magnetometer at 50 Hz
+    assert len({m.zacc for m in sensors}) == len(sensors)  # what stays the same is declared stale
+    (fix,) = {(m.fix_type, m.satellites_visible) for m in told if m.get_type() == "HIL_GPS"}
+    assert fix == (3, 12)
+
+
+# -- the protocols -----------------------------------------------------------------------------------------------------
+
+
+@given(st.binary(max_size=100))
+def test_no_bytes_but_a_servo_packet_are_one(data: bytes) -> None:
+    try:
+        packet = servos(data)
+    except PacketError:
+        return
+    assert len(data) in (40, 72)
+    assert max(packet.pwm[:4]) <= 2500
+
+
+@given(st.lists(st.one_of(st.binary(max_size=60), st.just(b"\xfd\x09\x00\x00"), st.just(b"\xfd\xff\x01")), max_size=6))
+def test_damage_never_hides_a_whole_frame_that_comes_after_it(damage: list[bytes]) -> None:
+    out = mav.MAVLink(None, 1, 1)
+    frame = mav.MAVLink_hil_actuator_controls_message(8000, [0.7] * 16, 129, 1).pack(out)
+    said, _, _ = px4.split(b"".join(damage) + frame)
+    assert [c.time_us for c in said] == [8000]
+    assert said[0].motors == pytest.approx([0.7] * 4)
+
+
+@pytest.fixture
+def ardupilot_seat() -> Iterator[tuple[ArduPilotSeat, socket.socket]]:
+    port = 9002 + next_offset()
+    seat = ArduPilotSeat(1, ("127.0.0.1", port))
+    peer = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    peer.connect(("127.0.0.1", port))
+    peer.settimeout(1.0)
+    yield seat, peer
+    seat.close()
+    peer.close()
+
+
+def packet(frame: int, pwm: int = 1500) -> bytes:
+    return ardupilot.HEADER.pack(ardupilot.MAGIC_16, 1000, frame) + np.full(16, pwm, "<u2").tobytes()
+
+
+def heard(seat: ArduPilotSeat) -> None:
+    time.sleep(0.01)
+    seat.hear()
+
+
+def test_the_same_frame_again_is_answered_again_and_not_stepped_again(
+    ardupilot_seat: tuple[ArduPilotSeat, socket.socket],
+) -> None:
+    seat, peer = ardupilot_seat
+    assert not seat.present
+    peer.send(packet(0))
+    heard(seat)
+    assert seat.present
+    assert seat.settled
+    peer.send(packet(0))  # before the answer: one is enough
+    heard(seat)
+    seat.tell(own())
+    first = peer.recv(4096)
+    assert not seat.settled
+    peer.send(packet(0))  # after it: the answer was lost
+    heard(seat)
+    assert peer.recv(4096) == first
+    assert not seat.settled
+    assert (seat.tally.taken, seat.tally.repeated, seat.tally.answered) == (1, 2, 2)
+
+
+def test_old_frames_are_left_and_a_count_that_begins_anew_is_an_autopilot_that_did(
+    ardupilot_seat: tuple[ArduPilotSeat, socket.socket],
+) -> None:
+    seat, peer = ardupilot_seat
+    for frame in (40, 41):
+        peer.send(packet(frame))
+        heard(seat)
+        seat.tell(own())
+    peer.send(packet(40))
+    heard(seat)
+    assert seat.tally.stale == 1
+    assert not seat.settled
+    peer.send(packet(0))
+    with pytest.raises(SeatError, match="began anew: its frame count went back from 41 to 0"):
+        heard(seat)
+
+
+@pytest.mark.parametrize(
+    "bad", [b"", b"\0" * 40, packet(5)[:-1], packet(5) + b"x", b"\xff" * 4000, packet(5, 65535)], ids=len
+)
+def test_hostile_datagrams_are_refused_counted_and_change_nothing(
+    ardupilot_seat: tuple[ArduPilotSeat, socket.socket], bad: bytes
+) -> None:
+    seat, peer = ardupilot_seat
+    peer.send(bad)
+    heard(seat)
+    assert not seat.present
+    assert seat.tally.refused == 1
+    assert seat.share == (0.0, 0.0, 0.0, 0.0)
+
+
+def test_controls_that_make_no_sense_are_refused_and_the_last_ones_stand() -> None:
+    port = 4560 + next_offset()
+    seat = Px4Seat(1, ("127.0.0.1", port), Home(), Instruments(Grades(), np.random.default_rng(1)))
+    out = mav.MAVLink(None, 1, 1)
+    with socket.create_connection(("127.0.0.1", port)) as peer:
+        peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        time.sleep(0.01)
+        seat.hear()
+        assert seat.settled  # nothing comes before the allocator runs, and the clock goes on without it
+        seat.tell(own(0.004))
+
+        def say(time_us: int, control: float) -> None:
+            peer.sendall(mav.MAVLink_hil_actuator_controls_message(time_us, [control] * 16, 129, 1).pack(out))
+            time.sleep(0.01)
+            seat.hear()
+
+        say(4000, 0.5)
+        assert seat.share == (0.25,) * 4
+        seat.tell(own(0.008))
+        assert not seat.settled
+        for time_us, control in ((8000, math.nan), (8000, 1e30), (8000, -math.inf), (2**60, 0.1)):
+            say(time_us, control)
+        assert (seat.tally.refused, seat.share, seat.settled) == (4, (0.25,) * 4, False)
+        say(3000, 0.1)
+        assert (seat.tally.stale, seat.settled) == (1, False)
+        say(8000, 1.0)
+        assert (seat.share, seat.settled) == ((1.0,) * 4, True)
+    time.sleep(0.01)
+    with pytest.raises(SeatError, match="connection"):
+        seat.hear()
+    seat.close()
+
+
+def test_arducopters_curve_makes_a_throttle_its_share_of_the_greatest_thrust() -> None:
+    """MOT_THST_EXPO 0.65 between MOT_SPIN_MIN 0.15 and MOT_SPIN_MAX 0.95, as the firmware turns a throttle into PWM."""
+    for share in (0.0, 0.1, 0.36, 0.7, 1.0):
+        c = (-0.35 + math.sqrt(0.35**2 + 4 * 0.65 * share)) / (2 * 0.65)
+        assert ardupilot.thrust_share(round(1000 + 1000 * (0.15 + 0.8 * c))) == pytest.approx(share, abs=2e-3)
+    assert ardupilot.thrust_share(0) == ardupilot.thrust_share(1000) == ardupilot.thrust_share(1100) == 0.0
+
+
+def test_at_rest_instruments_read_gravity_the_field_and_the_air_with_noise_and_bias_from_the_seed() -> None:
+    def one(seed: int) -> Instruments:
+        return Instruments(Grades(), np.random.default_rng(seed))
+
+    i, turned = one(3), lie.exp(np.array([0.2, -0.3, 1.0]))
+    many = np.array([i.acceleration(np.array([0.0, 0.0, -9.81])) for _ in range(400)])
+    assert many.std(axis=0) == pytest.approx(0.02, rel=0.2)
+    assert np.abs(many.mean(axis=0) - [0, 0, -9.81]).max() < 0.08
+    assert np.linalg.norm(i.field_gauss(turned)) == pytest.approx(0.4844, abs=0.004)
+    assert i.altitude_m(i.pressure_hPa(488.0)) == pytest.approx(488.0, abs=1.0)
+    assert (one(3).rate(np.zeros(3)) == one(3).rate(np.zeros(3))).all()
+    assert (one(3).rate(np.zeros(3)) != one(4).rate(np.zeros(3))).any()
+
+
+# -- time and place ----------------------------------------------------------------------------------------------------
+
+
+def test_a_vehicles_clock_is_found_by_timesync_and_one_like_the_trackers_is_taken_for_it() -> None:
+    relation = Relation(2, 200, asks=True)
+    attitude = VehicleAttitude(5000, np.eye(3), np.zeros(3))
+    assert relation.mapped(1, attitude) is None  # nobody knows yet when that was
+    rng, now = np.random.default_rng(0), 100.0
+    for _ in range(8):
+        asked = relation.due(now)
+        assert asked is not None
+        assert relation.due(now + 0.01) is None
+        sim_ns = round((now - 90) * 1e9)
+        relation.answered(200, Timesync(sim_ns, asked.ts1), now + 0.001)
+        relation.answered(1, Timesync(sim_ns + 1_370_000_000, asked.ts1), now + 0.001 + 0.004 * rng.random())
+        relation.answered(2, Timesync(sim_ns + 3_000_000, asked.ts1), now + 0.002)
+        now += 0.2
+    assert relation.mapped(1, attitude).boot_ms == pytest.approx(5000 - 1370, abs=5)
+    assert relation.mapped(2, attitude) is attitude
+
+
+def test_a_vehicle_whose_origin_is_where_it_stood_is_put_into_the_trackers_frame() -> None:
+    relation = Relation(1, 200, asks=False)
+    here = VehiclePosition(0, np.array([1.0, 2.0, -3.0]), np.zeros(3))
+    relation.learn(1, Origin(MARK[0], MARK[1], MARK[2]))
+    assert relation.mapped(1, here) is here
+    relation.learn(200, Origin(MARK[0], MARK[1], MARK[2]))
+    assert relation.mapped(1, here) is here
+    relation.learn(1, Origin(MARK[0] + math.degrees(2.0 / 6378137.0), MARK[1], MARK[2] + 0.5))
+    assert relation.mapped(1, here).x == pytest.approx([3.0, 2.0, -3.5], abs=1e-3)
+
+
+# -- stands ------------------------------------------------------------------------------------------------------------
+
+
+def test_on_its_stand_a_vehicle_turns_by_its_rotors_alone_and_stays_where_it_is() -> None:
+    flight = scenarios.load("paper-case-1-50hz")
+    values = settings(flight, Serving(False, backend="ardupilot"))
+    plant = plant_of(values._replace(around=values.around._replace(driven=True)))
+    x = plant.kinematics()[0]
+    asked = np.full((4, 4), 2.0)
+    asked[0] += 0.01 * np.array([-1.0, 1.0, 1.0, -1.0])  # vehicle 1: the left rotors push more
+    plant.drive(asked)
+    plant.advance(100)
+    R, Omega = plant.attitudes
+    J = float(flight.system.J[0, 0, 0])
+    expected = 4 * 0.01 * (0.17 / math.sqrt(2)) / J * 0.1
+    assert Omega[0] == pytest.approx([expected, 0.0, 0.0], rel=1e-9)
+    assert math.acos(R[0, 2, 2]) == pytest.approx(0.5 * expected * 0.1, rel=1e-6)
+    assert (Omega[1:] == 0.0).all()
+    assert (plant.kinematics()[0] == x).all()
+    plant.held = False
+    plant.advance(1)
+    assert (plant.kinematics()[0] != x).any()
+
+
+def test_a_physics_step_that_no_autopilot_takes_is_refused_by_name() -> None:
+    assert [frame_us(us) for us in (1000, 500, 250, 1250 // 5)] == [1000, 1000, 1000, 1000]
+    with pytest.raises(ValueError, match=r"physics\.rate_hz"):
+        frame_us(2000)
+
+
+def test_who_never_comes_is_named_with_the_address_it_should_have_used() -> None:
+    flight = scenarios.load("two-vehicles")
+    offset = next_offset()
+    values = settings(flight, Serving(False, port_offset=offset, backend="ardupilot"))
+    assert values.external is not None
+    server = JointServer(values._replace(external=values.external._replace(connect_s=0.3)), lambda _: None)
+    try:
+        with pytest.raises(AutopilotError, match=f"vehicle 2 .*{9012 + offset}.*: no autopilot came within 0.3 s"):
+            server.run(lambda: False)
+    finally:
+        server.close()
+
+
+def test_physics_alone_answers_in_joint_lockstep_and_goes_no_further_than_the_slowest() -> None:
+    flight = scenarios.load("two-vehicles")
+    offset = next_offset()
+    server = JointServer(
+        settings(flight, Serving(False, speed=math.inf, port_offset=offset, backend="ardupilot")), lambda _: None
+    )
+    stopped = threading.Event()
+    thread = threading.Thread(target=lambda: server.run(stopped.is_set))
+    peers = []
+    for i in range(2):
+        peer = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        peer.connect(("127.0.0.1", 9002 + offset + 10 * i))
+        peer.settimeout(2.0)
+        peers.append(peer)
+    thread.start()
+    try:
+        for frame in range(50):
+            times = []
+            peers[0].send(packet(frame, 1000))
+            if frame:
+                peers[0].settimeout(0.02)
+                with pytest.raises(TimeoutError):
+                    peers[0].recv(4096)  # the other has not spoken
+                peers[0].settimeout(2.0)
+            peers[1].send(packet(frame, 1000))
+            for peer in peers:
+                told = simulator_json(peer.recv(4096))
+                times.append(told["timestamp"][0])
+                assert told["accel_body"] == pytest.approx([0.0, 0.0, -9.81], abs=1e-9)
+            assert times == pytest.approx([frame * 1e-3] * 2)
+    finally:
+        stopped.set()
+        thread.join(5.0)
+        server.close()
+        for peer in peers:
+            peer.close()
+
+
+# -- starting them -----------------------------------------------------------------------------------------------------
+
+
+def test_command_lines_and_parameters_follow_the_scenario(tmp_path: Path) -> None:
+    flight = scenarios.load("mixed-fleet")
+    starts = launches(flight, "mixed", None, 0, "127.0.0.1", 1.0)
+    lines = [start.line() for start in starts]
+    for i, kind in enumerate(flight.firmware):
+        assert ("--model JSON:127.0.0.1" in lines[i]) == (kind == "arducopter")
+        assert f"-I {i}" in lines[i] or f"-i {i}" in lines[i]
+    two = flight.firmware.index("arducopter")
+    assert f"--serial0 udpclient:127.0.0.1:{14540 + two}" in lines[two]
+    tilting, turning = authority(flight, 0)
+    assert tilting == pytest.approx(2 * (25 / 4) * 0.17 / math.sqrt(2) / 0.557e-2)
+    assert turning == pytest.approx(2 * (25 / 4) * 0.02 / 1.05e-2)
+    table = dict(line.split() for line in ardupilot_parameters(flight, two).splitlines())
+    assert float(table["ATC_RAT_RLL_P"]) * tilting == pytest.approx(18.0, rel=1e-4)
+    assert (table["FRAME_TYPE"], table["GUID_OPTIONS"]) == ("1", "8")
+    assert px4_parameters(flight, 0)["MPC_THR_HOVER"] == pytest.approx(math.sqrt(0.755 * 9.81 / 25))
+    with pytest.raises(ScenarioError, match="no px4 that can be run there"):
+        launches(flight, "px4", tmp_path, 0, "127.0.0.1", 1.0)
+
+
+def test_what_contradicts_the_backend_is_usage() -> None:
+    for arguments, word in (
+        (("fly", "--backend", "gazebo"), "--backend"),
+        (("fly", "--launch", "."), "--launch"),
+        (("fly", "--backend", "px4", "--firmware", "arducopter"), "contradicts"),
+        (("fly", "--backend", "px4", "--launch", "nowhere"), "no px4"),
+        (("sitl", "--backend", "px4", "--no-load"), "--no-load"),
+    ):
+        code, _, err = cablequad(*arguments)
+        assert code == 2, arguments
+        assert word in err
+        assert err.count("\n") == 1
+
+
+# -- flights -----------------------------------------------------------------------------------------------------------
+
+
+class Fleet:
+    """Stand-ins for the autopilots of a flight."""
+
+    def __init__(self, kinds: str, offset: int, **own: str) -> None:
+        """`kinds`: a letter a vehicle, a for ArduPilot and p for PX4; `own`: more arguments, by v1, v2, ..."""
+        self.processes = []
+        for i, kind in enumerate(kinds):
+            physics = 9002 + offset + 10 * i if kind == "a" else 4560 + offset + i
+            self.processes.append(
+                subprocess.Popen(
+                    [
+                        sys.executable, str(PEER), "ardupilot" if kind == "a" else "px4", "--instance", str(i),
+                        "--physics", str(physics), "--mavlink", str(14540 + offset + i), "--boot", str(1.37 * i),
+                        *own.get(f"v{i + 1}", "").split(),
+                    ], stderr=subprocess.DEVNULL,
+                )
+            )  # fmt: skip
+
+    def __enter__(self) -> "Fleet":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for process in self.processes:
+            process.kill()
+            process.wait()
+
+
+BACKEND = {"a": "ardupilot", "p": "px4"}
+
+
+def flies(scenario: str, kinds: str, folder: Path, **own: str) -> dict:
+    """`cablequad fly SCENARIO --backend ...` with stand-ins, as fast as they go."""
+    offset = next_offset()
+    backend = BACKEND[kinds[0]] if len(set(kinds)) == 1 else "mixed"
+    with Fleet(kinds, offset, **own):
+        return flown(
+            scenario, "--backend", backend, "--firmware", "auto", "--speed", "max", "--no-replay", "--out", str(folder),
+            "--port-offset", str(offset),
+        )  # fmt: skip
+
+
+def events(s: dict) -> list[tuple[str, str]]:
+    return [(e.kind, e.text) for e in read(Path(s["log"])).events]
+
+
+@pytest.mark.parametrize("kinds", ["aaaa", "pppp"])
+def test_four_autopilots_carry_case_1_from_a_held_start(kinds: str, tmp_path: Path) -> None:
+    s = flies("paper-case-1-50hz", kinds, tmp_path)
+    assert s["exit_code"] == 0, s["reason"]
+    assert s["final_position_error_m"] < 0.01  # measured 0.0000 and 0.0031
+    run = read(Path(s["log"]))
+    told = {e.subject: e.text for e in run.events if e.kind == "clock"}
+    for i in range(4):
+        ahead = round(1370 * i) if kinds[i] == "a" else 0
+        assert int(told[f"vehicle {i + 1}"].partition("=")[2]) == pytest.approx(ahead, abs=6)
+    assert recorded(run)
+    print(f"real-time factor {s['real_time_factor']:.2f}")
+
+
+def recorded(run: Run) -> bool:
+    """Truth, what the autopilots say, what was sent and PWM are all in the log."""
+    topics = set(run.columns)
+    return {"/plant/state", "/control/state"} <= topics
+
+
+@pytest.mark.parametrize("kinds", ["aaaa", "pppp"])
+def test_four_autopilots_fly_from_the_ground_to_the_ground(kinds: str, tmp_path: Path) -> None:
+    s = flies("ground-to-ground", kinds, tmp_path)
+    assert s["exit_code"] == 0, s["reason"]
+    assert s["set_down_error_m"] < 0.05  # measured 0.015 to 0.022
+    assert s["touch_down_m_s"] < 0.2
+    assert s["vehicles_crashed"] == 0
+    phases = [text for kind, text in events(s) if kind == "phase"]
+    assert phases == [
+        "preflight", "arm", "take off", "tension", "lift", "carry", "set down", "release", "land", "disarm"
+    ]  # fmt: skip
+
+
+def test_two_of_each_carry_it_together_while_two_of_them_are_hostile(tmp_path: Path) -> None:
+    s = flies("mixed-fleet", "ppaa", tmp_path, v1="--hostile", v4="--hostile")
+    assert s["final_position_error_m"] < 0.01, s["reason"]
+    assert s["wire"]["physics_packets_refused"] > 500
+    assert s["wire"]["physics_packets_repeated"] > 100
+
+
+@pytest.mark.parametrize(("scenario", "kinds"), [("one-vehicle", "a"), ("one-vehicle", "p"), ("two-vehicles", "aa")])
+def test_one_and_two_vehicles_fly_too(scenario: str, kinds: str, tmp_path: Path) -> None:
+    """The stand-ins turn at 10 rad/s, which their scenarios are told here."""
+    base = scenarios.load(scenario).scenario
+    slow = base.model_copy(
+        update={
+            "vehicle": base.vehicle.model_copy(update={"attitude_bandwidth_rad_s": 10.0}),
+            "control": base.control.model_copy(update={"rate_hz": 50, "law": "sampled", "delay_ticks": 1}),
+        }
+    )
+    file = tmp_path / "slow.json"
+    file.write_text(slow.model_dump_json())
+    s = flies(str(file), kinds, tmp_path)
+    assert s["final_position_error_m"] < 0.02, s["reason"]
+
+
+def test_an_autopilot_that_dies_is_named_and_the_others_come_down_in_order(tmp_path: Path) -> None:
+    s = flies("ground-to-ground", "pppp", tmp_path, v3="--die-at 8")
+    assert s["exit_code"] == 1
+    assert "vehicle 3: is silent since t = 8.0" in s["reason"]
+    told = events(s)
+    assert ("sitl-autopilot-lost", told[[k for k, _ in told].index("sitl-autopilot-lost")][1]) in told
+    assert any("closed its connection; its motors stop" in text for _, text in told)
+    assert [text for kind, text in told if kind == "phase"][-2:] == ["land", "disarm"]
+    assert read(Path(s["log"])).complete
+
+
+def test_an_autopilot_that_begins_anew_ends_the_flight_with_its_name(tmp_path: Path) -> None:
+    s = flies("paper-case-1-50hz", "aaaa", tmp_path, v2="--restart-at 7")
+    assert s["exit_code"] == 1
+    assert "vehicle 2" in s["reason"]
+    assert any("began anew: its frame count went back" in text for _, text in events(s))
+    assert read(Path(s["log"])).complete
+
+
+def test_sitl_serves_physics_that_fly_connects_to(tmp_path: Path) -> None:
+    from conftest import Command, wait_for_line
+
+    offset = next_offset()
+    served = Command("sitl", "paper-case-1-50hz", "--backend", "ardupilot", "--port-offset", str(offset))
+    wait_for_line(served, "start the autopilots")
+    urls = [f"udpin:127.0.0.1:{port + offset}" for port in (14540, 14541, 14542, 14543, 14600)]
+    with Fleet("aaaa", offset):
+        s = flown(
+            "paper-case-1-50hz", *(word for url in urls for word in ("--connect", url)), "--configure", "--no-replay",
+            "--duration", "6", "--out", str(tmp_path),
+        )  # fmt: skip
+        assert "plan flown" in s["reason"] or "asked" in s["reason"]
+        assert s["final_position_error_m"] < 0.1
+    served.interrupt()
+    code, out, _ = served.wait()
+    assert code == 0
+    assert "stopped after" in out
+
+
+def test_a_log_of_autopilots_of_their_own_is_decided_again(tmp_path: Path) -> None:
+    s = flies("paper-case-1-50hz", "aaaa", tmp_path)
+    code, out, err = cablequad("log", "replay-control", s["log"], "--json")
+    assert code == 0, err
+    assert json.loads(out)["decisions"] > 700
+
+
+# -- how vehicles answer -----------------------------------------------------------------------------------------------
+
+
+def test_a_response_is_found_from_what_was_told_and_how_it_turned() -> None:
+    rng = np.random.default_rng(4)
+    times = np.arange(0.0, 8.0, 0.02)
+    angles = np.where((times[:, None] % 2.0) < 0.5, 0.14, 0.0) * np.array([1.0, -0.7])
+    at = np.arange(0.5, 8.0, 0.0173)
+    exact = answers(np.array([12.0, 0.8, 0.033]), (times, angles), at, np.zeros(2))
+    seen = exact + 0.004 * rng.normal(size=exact.shape)
+    (w, z, d), left = fitted((times, angles), at, seen)
+    assert (w, z) == (pytest.approx(12.0, rel=0.05), pytest.approx(0.8, abs=0.06))
+    assert d == pytest.approx(0.033, abs=0.008)
+    assert left == pytest.approx(0.004, rel=0.1)
+
+
+def test_vehicles_are_identified_at_hover_and_the_flight_that_follows_is_designed_for_it(tmp_path: Path) -> None:
+    base = scenarios.load("ground-to-ground").scenario
+    clean = base.model_copy(
+        update={
+            "vehicle": base.vehicle.model_copy(update={"rotors": None, "attitude_bandwidth_rad_s": 25.0}),
+            "real": base.real.model_copy(update={"thrust_scale": [0.9, 1.0, 1.0, 1.05], "attitude_bandwidth_rad_s": 9.0}),
+            "sensors": type(base.sensors)(), "wind": None, "name": "clean",
+        }
+    )  # fmt: skip
+    file = tmp_path / "clean.json"
+    file.write_text(clean.model_dump_json())
+    code, out, err = cablequad(
+        "identify", str(file), "--json", "--out", str(tmp_path), "--port-offset", str(next_offset())
+    )
+    assert code == 0, err
+    told = json.loads(out)
+    for vehicle, scale in zip(told["vehicles"], (0.9, 1.0, 1.0, 1.05), strict=True):
+        assert vehicle["bandwidth_rad_s"] == pytest.approx(9.0, abs=0.3)  # what flies, not what the scenario said
+        assert vehicle["damping"] == pytest.approx(0.9, abs=0.05)
+        assert vehicle["delay_s"] == pytest.approx(0.02, abs=0.005)
+        assert vehicle["thrust_scale"] == pytest.approx(scale, abs=0.015)
+    found = scenarios.load(told["scenario"])
+    assert found.airframe.bandwidth == pytest.approx(9.0, abs=0.3)
+    assert found.airframe.max_thrust == pytest.approx([22.5, 25.0, 25.0, 26.25], rel=0.015)
+    assert found.world.thrust_scale == pytest.approx(
+        [1.0] * 4, abs=0.015
+    )  # its rotors give what they are now taken for
+
+
+def test_who_cannot_take_off_cannot_be_identified() -> None:
+    code, _, err = cablequad("identify", "paper-case-1")
+    assert code == 2
+    assert "[ground]" in err
