@@ -12,3 +12,10 @@ class Noise(NamedTuple):
     rate: float = 0.0  # rad/s
     link_direction: float = 0.0  # rad, of each axis across the link
     link_rate: float = 0.0  # rad/s
+
+
+class Biases(NamedTuple):
+    """Standard deviations of what a vehicle is always wrong by, each component; the observer knows nothing of it."""
+
+    position: float = 0.0  # m
+    attitude: float = 0.0  # rad, of each body axis

@@ -2,6 +2,7 @@
 
 import contextlib
 import gc
+import math
 import multiprocessing
 import os
 import signal
@@ -15,12 +16,15 @@ import numpy as np
 
 from bridge.link import LinkError
 from bridge.wire.telemetry import Home
+from cablequad.noise import Biases
 from missions import scenario as scenarios
 from missions.channel import Failure, Ready, Status, put
 from missions.scenario import Flight, ScenarioError
-from missions.tables import FailureTable
+from missions.tables import BarometerTable, FailureTable, GpsTable, ImuTable, MagnetometerTable, SensorsTable
+from sitl.batteries import Battery
 from sitl.external.joint import AutopilotError, External, JointServer, frame_us
 from sitl.failures import Failure as Breakage
+from sitl.instruments import Grades
 from sitl.plant import PhysicsError, Truth
 from sitl.server import Server
 from sitl.settings import HOST, Event, Report, Settings, Sink
@@ -53,6 +57,7 @@ class Serving(NamedTuple):
 def settings(flight: Flight, serving: Serving) -> Settings:
     """The server's settings for a flight. Raises ScenarioError where the backend cannot fly it."""
     s = flight.scenario
+    battery = s.vehicle.battery
     ready = [
         v.estimator_ready_s if v.estimator_ready_s is not None else s.vehicle.estimator_ready_s for v in s.vehicles
     ]
@@ -85,6 +90,9 @@ def settings(flight: Flight, serving: Serving) -> Settings:
         around=flight.world.around,
         weather=flight.world.weather,
         noise=scenarios.noise(flight),
+        biases=Biases(s.sensors.position_bias_m, math.radians(s.sensors.attitude_bias_deg)),
+        grades=_grades(s.sensors),
+        batteries=() if battery is None else (Battery(battery.endurance_s, battery.sag),) * len(s.vehicles),
         failures=tuple(_failure(f) for f in s.failures),
         external=_external(flight, serving.backend),
     )
@@ -114,6 +122,19 @@ def _external(flight: Flight, backend: Backend) -> External | None:
 def server_of(values: Settings, sink: Sink) -> Server | JointServer:
     """Whoever serves what the settings describe. Raises LinkError, ValueError."""
     return Server(values, sink) if values.external is None else JointServer(values, sink)
+
+
+def _grades(s: SensorsTable) -> Grades | None:
+    if s.imu is None and s.magnetometer is None and s.barometer is None and s.gps is None:
+        return None
+    imu, mag, baro, gps = s.imu or ImuTable(), s.magnetometer or MagnetometerTable(), s.barometer, s.gps or GpsTable()
+    baro = baro or BarometerTable()
+    tick = 1e6 / gps.rate_hz
+    return Grades(
+        imu.acceleration_m_s2, imu.rate_rad_s, mag.field_gauss, baro.pressure_hPa, gps.position_m, gps.velocity_m_s,
+        imu.acceleration_bias_m_s2, imu.rate_bias_rad_s, mag.field_bias_gauss, baro.pressure_bias_hPa,
+        gps.position_bias_m, max(4000, round(tick / 4000) * 4000), round(gps.delay_ms * 1000),
+    )  # fmt: skip
 
 
 def _failure(f: FailureTable) -> Breakage:

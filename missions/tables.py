@@ -8,6 +8,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_valida
 
 from cablequad.design import Weights
 from cablequad.trajectory import Limits
+from sitl.instruments import Grades
 
 
 def _number(value: Any) -> Any:
@@ -66,6 +67,13 @@ class RotorsTable(_Table):
     time_constant_s: NotNegative = 0.03
 
 
+class BatteryTable(_Table):
+    """vehicle.battery: left out, it is always full"""
+
+    endurance_s: Positive = 900.0  # at the thrust that carries the vehicle alone
+    sag: Annotated[NotNegative, Field(lt=1.0)] = 0.15  # share of its thrust that it has lost when it is empty
+
+
 Firmware = Literal["px4", "arducopter"]
 ParameterName = Annotated[str, Field(pattern=r"^[A-Z][A-Z0-9_]{0,15}$")]
 
@@ -83,6 +91,7 @@ class VehicleTable(_Table):
     estimator_ready_s: NotNegative | None = None  # as the firmware takes
     parameters: dict[ParameterName, Real] = {}  # set before boot
     rotors: RotorsTable | None = None
+    battery: BatteryTable | None = None
     feet_m: Annotated[list[Positive], Field(min_length=2, max_length=2)] = [0.12, 0.1]  # half their distance, height
 
 
@@ -195,8 +204,45 @@ class FailureTable(_Table):
     sag: Share = 0.15  # low-battery: of the thrust that is lost
 
 
+class ImuTable(_Table):
+    """sensors.imu: standard deviations of the noise, and of the bias that each vehicle has"""
+
+    acceleration_m_s2: NotNegative = Grades().acceleration
+    acceleration_bias_m_s2: NotNegative = Grades().acceleration_bias
+    rate_rad_s: NotNegative = Grades().rate
+    rate_bias_rad_s: NotNegative = Grades().rate_bias
+
+
+class MagnetometerTable(_Table):
+    """sensors.magnetometer"""
+
+    field_gauss: NotNegative = Grades().field
+    field_bias_gauss: NotNegative = Grades().field_bias
+
+
+class BarometerTable(_Table):
+    """sensors.barometer"""
+
+    pressure_hPa: NotNegative = Grades().pressure
+    pressure_bias_hPa: NotNegative = Grades().pressure_bias
+
+
+class GpsTable(_Table):
+    """sensors.gps"""
+
+    position_m: NotNegative = Grades().position
+    position_bias_m: NotNegative = Grades().position_bias
+    velocity_m_s: NotNegative = Grades().velocity
+    rate_hz: Annotated[Positive, Field(le=50)] = 1e6 / Grades().fix_us
+    delay_ms: NotNegative = 0.0
+
+
 class SensorsTable(_Table):
-    """[sensors]: standard deviations of white noise on what vehicles and the payload tracker report"""
+    """[sensors]: standard deviations of white noise on what vehicles and the payload tracker report, and of the bias
+
+    of what vehicles report; below it the instruments, of which HIGHRES_IMU, GPS_RAW_INT and HIL tell. Where none is
+    given those of built-in vehicles are perfect.
+    """
 
     position_m: NotNegative = 0.0
     velocity_m_s: NotNegative = 0.0
@@ -204,6 +250,12 @@ class SensorsTable(_Table):
     rate_deg_s: NotNegative = 0.0
     link_direction_deg: NotNegative = 0.0
     link_rate_deg_s: NotNegative = 0.0
+    position_bias_m: NotNegative = 0.0  # of a vehicle's own position, drawn once
+    attitude_bias_deg: NotNegative = 0.0
+    imu: ImuTable | None = None
+    magnetometer: MagnetometerTable | None = None
+    barometer: BarometerTable | None = None
+    gps: GpsTable | None = None
 
 
 class WeightsTable(_Table):

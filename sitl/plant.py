@@ -125,6 +125,7 @@ class Plant:
         self.around = self._around = around or Surroundings()
         self.grounded = self.around.ground_z is not None
         self._thrust_scale = np.ones(len(system.m)) if thrust_scale is None else thrust_scale.copy()
+        self._given_scale = self._thrust_scale.copy()
         self._wind = wind
         self._blows = np.zeros((0, 3))  # m/s: of the wind, already drawn
         self._rotors = self.around.rotors or _instant(airframe)
@@ -259,8 +260,8 @@ class Plant:
                 part.world.rotors.works[part.members.index(i), slice(None) if rotor is None else rotor] = works
 
     def weaken(self, i: int, scale: float) -> None:
-        """Vehicle i gives `scale` N per N asked from now on."""
-        self._thrust_scale[i] = scale
+        """Vehicle i gives `scale` of what its rotors gave at first from now on."""
+        self._thrust_scale[i] = self._given_scale[i] * scale
 
     def cut(self, i: int) -> bool:
         """Cable i comes off the load; whether it was on. The last cable of a load cannot come off."""

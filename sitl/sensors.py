@@ -1,4 +1,4 @@
-"""What is measured: white noise on what vehicles and the payload tracker report, from one seeded generator."""
+"""What is measured: noise and bias on what vehicles and the payload tracker report, from seeded generators."""
 
 import numpy as np
 
@@ -7,19 +7,34 @@ from cablequad import lie
 from cablequad.noise import Noise
 from cablequad.state import State
 from cablequad.types import Array
+from sitl.instruments import Instruments
 from sitl.plant import Truth
 
 
 class Sensors:
     """The estimates of the vehicles and the tracker: the truth with noise of its own at every instant."""
 
-    def __init__(self, noise: Noise, rng: np.random.Generator) -> None:
+    def __init__(
+        self, noise: Noise, rng: np.random.Generator, wrong: tuple[Array, Array] | None = None,
+        instruments: list[Instruments] | None = None,
+    ) -> None:  # fmt: skip
+        """`wrong`: (n, 3) m and (n, 3) rad, always; `instruments` of each vehicle, where they are not perfect."""
         self._noise = noise
         self._rng = rng
         self._exact = noise == Noise()
+        self._wrong, self._instruments = wrong, instruments
 
-    def vehicle(self, s: Snapshot) -> Snapshot:
-        """What a vehicle says of itself."""
+    def vehicle(self, i: int, s: Snapshot, tells_imu: bool) -> Snapshot:
+        """What vehicle i (from 0) says of itself; what its IMU reads only where it `tells_imu`."""
+        if self._instruments is not None:
+            own = self._instruments[i]
+            fix = own.fix(s.boot_us, s.x, s.v)
+            imu = None
+            if tells_imu:
+                imu = own.reading(s.specific_force, s.Omega, s.R, s.home.altitude_m - float(s.x[2]))
+            s = s._replace(fix=fix, imu=imu)
+        if self._wrong is not None:
+            s = s._replace(x=s.x + self._wrong[0][i], R=s.R @ lie.exp(self._wrong[1][i]))
         if self._exact:
             return s
         n = self._noise

@@ -17,14 +17,14 @@ from bridge.wire.telemetry import BUILD, Snapshot
 from bridge.wire.values import IN_AIR, ON_GROUND, AttitudeTarget, Timesync
 from cablequad.types import Array
 from sitl import tracker
+from sitl.batteries import Batteries
 from sitl.failures import Broken
 from sitl.firmware.arducopter import ArduCopter
 from sitl.firmware.autopilot import ATTITUDE_QUATERNION, HIGHRES_IMU, Autopilot, Body
 from sitl.firmware.px4 import Px4
 from sitl.places import places, tracker_endpoints
 from sitl.plant import LoosePlant, Plant, Truth
-from sitl.sensors import Sensors
-from sitl.settings import Event, Report, Settings, Sink, own_generator, plant_of
+from sitl.settings import Event, Report, Settings, Sink, plant_of, sensors_of
 
 CONTROLLER = (250, 191)  # whose setpoints may hold the clock
 PERSONAS: dict[str, type[Px4] | type[ArduCopter]] = {"px4": Px4, "arducopter": ArduCopter}
@@ -45,7 +45,8 @@ class Server:
         self.link = Link([*(place.endpoint for place in self._places), *trackers], signer)
         self._tracker_ports = (len(self._places), len(self._places) + 1)
         self.plant = LoosePlant(s.system, s.airframe, s.initial, s.physics_us * 1e-6) if s.loose else plant_of(s)
-        self._sensors = Sensors(s.noise, own_generator(s.seed, "sensors"))
+        self._sensors = sensors_of(s)
+        self._batteries = Batteries(s.batteries, s.system.m * s.system.g)
         self._ports = [[k for k, p in enumerate(self._places) if p.vehicle in (i, None)] for i in range(n)]
         self.vehicles = [self._vehicle(i, firmware[i]) for i in range(n)]
         self._channels: list[Channel[tuple[int, Received]]] = [
@@ -163,6 +164,8 @@ class Server:
             self._deliver(i, vehicle, now)
             vehicle.tick(now)
         self._settle(now)
+        if isinstance(self.plant, Plant):
+            self._batteries.use(self.plant, s.tick_us * 1e-6)
         for subject, text in self._broken.act(now, self._released_us, self.plant, self.vehicles):
             self._sink(Event(now, "failure", subject, text))
         self.plant.command([vehicle.actuation(own) for vehicle, own in zip(self.vehicles, self._own, strict=True)])
@@ -178,7 +181,8 @@ class Server:
         x, v = self.plant.kinematics()
         self._own = self._snapshots(now, x, v)
         self._truth = self.plant.truth(now, x, v) if isinstance(self.plant, Plant) else None
-        if any(vehicle.will_tell(HIGHRES_IMU, now) for vehicle in self.vehicles):
+        felt = any(vehicle.will_tell(HIGHRES_IMU, now) for vehicle in self.vehicles)
+        if felt:
             if isinstance(self.plant, LoosePlant):
                 force = self.plant.specific_force()
             else:
@@ -187,14 +191,15 @@ class Server:
             self._own = [own._replace(specific_force=force[i]) for i, own in enumerate(self._own)]
         for i, vehicle in enumerate(self.vehicles):
             self._own[i] = self._self_image(i, self._own[i])
-            self._speak(i, vehicle, self._sensors.vehicle(vehicle.snapshot(self._own[i])))
+            told = self._sensors.vehicle(i, vehicle.snapshot(self._own[i]), felt)
+            self._speak(i, vehicle, told)
         if self._truth is not None:
             said = self._sensors.tracked(self._truth)
             tracker.tell(self.link, self._tracker_ports, said, s.system.n_links, s.control_us)
 
     def _self_image(self, i: int, own: Snapshot) -> Snapshot:
         """What vehicle i takes itself to be, with what is broken."""
-        off, battery = self._broken.astray(i, own.boot_us), self._broken.battery[i]
+        off, battery = self._broken.astray(i, own.boot_us), min(self._broken.battery[i], self._batteries.left[i])
         if off is not None:
             return own._replace(x=own.x + off, gps_fix=1, battery=battery)
         return own if battery == own.battery else own._replace(battery=battery)

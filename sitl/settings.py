@@ -8,11 +8,14 @@ import numpy as np
 from bridge.faults import Faults
 from bridge.wire.telemetry import Home
 from cablequad.attitude import Airframe
-from cablequad.noise import Noise
+from cablequad.noise import Biases, Noise
 from cablequad.state import State
 from cablequad.system import System
+from sitl.batteries import Battery
 from sitl.failures import Failure
+from sitl.instruments import Grades, Instruments
 from sitl.plant import Plant, Surroundings, Truth
+from sitl.sensors import Sensors
 from sitl.wind import Weather, Wind
 
 if TYPE_CHECKING:
@@ -52,6 +55,9 @@ class Settings(NamedTuple):
     around: Surroundings = Surroundings()
     weather: Weather | None = None
     noise: Noise = Noise()
+    biases: Biases = Biases()
+    grades: Grades | None = None  # of the instruments; None: built-in vehicles have perfect ones
+    batteries: tuple[Battery | None, ...] = ()
     failures: tuple[Failure, ...] = ()
     external: "External | None" = None  # autopilots of their own instead of the built-in vehicles
 
@@ -96,3 +102,16 @@ def plant_of(s: Settings) -> Plant:
     wind = Wind(s.weather, h, own_generator(s.seed, "wind")) if s.weather is not None else None
     scale = np.array(s.thrust_scale) if s.thrust_scale else None
     return Plant(s.system, s.airframe, s.initial, h, scale, s.around, wind)
+
+
+def sensors_of(s: Settings) -> Sensors:
+    """What is measured in that world."""
+    n = len(s.system.m)
+    wrong = None
+    if s.biases != Biases():
+        rng = own_generator(s.seed, "biases")
+        wrong = s.biases.position * rng.normal(size=(n, 3)), s.biases.attitude * rng.normal(size=(n, 3))
+    instruments = None
+    if s.grades is not None:
+        instruments = [Instruments(s.grades, own_generator(s.seed, f"instruments {i + 1}")) for i in range(n)]
+    return Sensors(s.noise, own_generator(s.seed, "sensors"), wrong, instruments)

@@ -33,10 +33,10 @@ from missions.scenario import ScenarioError
 from missions.simulate import Serving, settings
 from sitl.external import ardupilot, px4
 from sitl.external.ardupilot import ArduPilotSeat, PacketError, servos
-from sitl.external.instruments import Grades, Instruments
 from sitl.external.joint import AutopilotError, JointServer, frame_us
 from sitl.external.px4 import Px4Seat
 from sitl.external.seat import Own, SeatError
+from sitl.instruments import Grades, Instruments
 from sitl.settings import plant_of
 
 GOLDEN = Path(__file__).parent / "golden"
@@ -262,20 +262,6 @@ def test_arducopters_curve_makes_a_throttle_its_share_of_the_greatest_thrust() -
         c = (-0.35 + math.sqrt(0.35**2 + 4 * 0.65 * share)) / (2 * 0.65)
         assert ardupilot.thrust_share(round(1000 + 1000 * (0.15 + 0.8 * c))) == pytest.approx(share, abs=2e-3)
     assert ardupilot.thrust_share(0) == ardupilot.thrust_share(1000) == ardupilot.thrust_share(1100) == 0.0
-
-
-def test_at_rest_instruments_read_gravity_the_field_and_the_air_with_noise_and_bias_from_the_seed() -> None:
-    def one(seed: int) -> Instruments:
-        return Instruments(Grades(), np.random.default_rng(seed))
-
-    i, turned = one(3), lie.exp(np.array([0.2, -0.3, 1.0]))
-    many = np.array([i.acceleration(np.array([0.0, 0.0, -9.81])) for _ in range(400)])
-    assert many.std(axis=0) == pytest.approx(0.02, rel=0.2)
-    assert np.abs(many.mean(axis=0) - [0, 0, -9.81]).max() < 0.08
-    assert np.linalg.norm(i.field_gauss(turned)) == pytest.approx(0.4844, abs=0.004)
-    assert i.altitude_m(i.pressure_hPa(488.0)) == pytest.approx(488.0, abs=1.0)
-    assert (one(3).rate(np.zeros(3)) == one(3).rate(np.zeros(3))).all()
-    assert (one(3).rate(np.zeros(3)) != one(4).rate(np.zeros(3))).any()
 
 
 # -- time and place ----------------------------------------------------------------------------------------------------

@@ -51,6 +51,8 @@ class Snapshot(NamedTuple):
     home_x: Array = ORIGIN  # (3,) m, W: where it was armed, and returns to
     battery: float = 1.0  # 0 .. 1: what is left
     gps_fix: int = 3  # GPS_FIX_TYPE
+    fix: tuple[Array, Array] | None = None  # (3,) m and (3,) m/s, W, by the GPS receiver; None: it is right
+    imu: tuple[Array, Array, Array, float] | None = None  # acceleration, rate, field, pressure; None: they are right
 
     @property
     def boot_ms(self) -> int:
@@ -102,13 +104,14 @@ def _global(s: Snapshot) -> Packed:
 
 
 def _imu(s: Snapshot) -> Packed:
-    field = (s.R.T @ np.array([0.21, 0.01, 0.43])).tolist()
     altitude = s.home.altitude_m - float(s.x[2])
     hPa = 1013.25 * (1 - 2.25577e-5 * altitude) ** 5.25588
-    return pack(
-        mavlink.MAVLink_highres_imu_message,
-        *(s.boot_us, *s.specific_force.tolist(), *s.Omega.tolist(), *field, hPa, 0.0, altitude, 25.0, 0x1BFF, 0),
-    )
+    acceleration, rate, field = s.specific_force, s.Omega, s.R.T @ np.array([0.21, 0.01, 0.43])
+    if s.imu is not None:
+        acceleration, rate, field, hPa = s.imu
+        altitude = (1 - (hPa / 1013.25) ** (1 / 5.25588)) / 2.25577e-5
+    read = (*acceleration.tolist(), *rate.tolist(), *field.tolist(), hPa, 0.0, altitude, 25.0, 0x1BFF, 0)
+    return pack(mavlink.MAVLink_highres_imu_message, s.boot_us, *read)
 
 
 def _odometry(s: Snapshot) -> Packed:
@@ -149,9 +152,10 @@ def _position_target(s: Snapshot) -> Message:
 
 
 def _gps(s: Snapshot) -> Message:
-    lat, lon, alt = _geodetic(s, s.x)
-    speed = math.hypot(s.v[0], s.v[1])
-    course = round(math.degrees(math.atan2(s.v[1], s.v[0])) * 100) % 36000 if speed > 0.1 else _NO_FIELD
+    x, v = (s.x, s.v) if s.fix is None else s.fix
+    lat, lon, alt = _geodetic(s, x)
+    speed = math.hypot(v[0], v[1])
+    course = round(math.degrees(math.atan2(v[1], v[0])) * 100) % 36000 if speed > 0.1 else _NO_FIELD
     good = s.gps_fix >= 3
     eph, epv, seen = (70, 110, 12) if good else (_NO_FIELD, _NO_FIELD, 0)
     return mavlink.MAVLink_gps_raw_int_message(

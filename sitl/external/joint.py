@@ -19,15 +19,15 @@ from bridge.wire.messages import encode
 from bridge.wire.telemetry import origin
 from bridge.wire.values import IN_AIR, ON_GROUND, LandedState, Timesync
 from sitl import tracker
+from sitl.batteries import Batteries
 from sitl.external.ardupilot import ARDUPILOT_PORT, ArduPilotSeat
-from sitl.external.instruments import Grades, Instruments
 from sitl.external.px4 import PX4_PORT, SENSOR_US, Px4Seat
 from sitl.external.seat import Own, Seat, SeatError
 from sitl.failures import Broken
+from sitl.instruments import Grades, Instruments
 from sitl.places import tracker_endpoints
 from sitl.plant import Truth
-from sitl.sensors import Sensors
-from sitl.settings import Event, Report, Settings, Sink, own_generator, plant_of
+from sitl.settings import Event, Report, Settings, Sink, own_generator, plant_of, sensors_of
 
 FRAME_US = 1250  # the longest step: ArduCopter does not arm below 1.8 times its loop rate of 400 Hz
 GRACE_S = 30.0  # of the physics' clock, for those that are left
@@ -69,7 +69,8 @@ class JointServer:
         self.n = n = len(s.system.m)
         self._frame_us = frame_us(s.physics_us)
         self.plant = plant_of(s._replace(around=s.around._replace(driven=True)))
-        self._sensors = Sensors(s.noise, own_generator(s.seed, "sensors"))
+        self._sensors = sensors_of(s)
+        self._batteries = Batteries(s.batteries, s.system.m * s.system.g)
         signer = Signer(s.signing_key, s.accept_unsigned_telemetry) if s.signing_key is not None else None
         self.link = Link(list(tracker_endpoints(s.port_offset, s.host)), signer)
         self.seats: list[Seat] = []
@@ -94,7 +95,7 @@ class JointServer:
         s = self.settings
         if kind == "arducopter":
             return ArduPilotSeat(i + 1, (s.host, ARDUPILOT_PORT + s.port_offset + 10 * i))
-        instruments = Instruments(Grades(), own_generator(s.seed, f"instruments {i + 1}"))
+        instruments = Instruments(s.grades or Grades(), own_generator(s.seed, f"instruments {i + 1}"))
         return Px4Seat(i + 1, (s.host, PX4_PORT + s.port_offset + i), s.home, instruments)
 
     # -- the run -------------------------------------------------------------------------------------------------------
@@ -207,6 +208,7 @@ class JointServer:
             self._release()
         elif self._released_us is None:
             self._begin(share)
+        self._batteries.use(self.plant, self._frame_us * 1e-6)
         for subject, text in self._broken.act(self.now_us, self._released_us, self.plant, []):
             self._sink(Event(self.now_us, "failure", subject, text))
 

@@ -11,17 +11,19 @@ import math
 import socket
 from typing import NamedTuple
 
+import numpy as np
+
 from bridge.ports import Address, LinkError
 from bridge.wire.dialect import Message, mavlink
 from bridge.wire.frames import checksum, unpack
 from bridge.wire.telemetry import Home
 from cablequad import lie
-from sitl.external.instruments import Instruments
 from sitl.external.seat import Own, SeatError, Tally, geodetic
+from sitl.instruments import Fix, Instruments
 
 PX4_PORT = 4560  # and 1 more for each instance
 SENSOR_US = 4_000  # IMU_INTEG_RATE 250
-MAG_US, BARO_US, GPS_US, TRUTH_US = 20_000, 20_000, 100_000, 20_000
+MAG_US, BARO_US, TRUTH_US = 20_000, 20_000, 20_000
 MOTORS = 4
 ACCEL_GYRO, MAG, BARO = 0x3F, 0x1C0, 0x1A00  # HIL_SENSOR_UPDATED_FLAGS
 SYSTEM, COMPONENT = 1, 51  # of a simulator
@@ -87,6 +89,7 @@ class Px4Seat:
         self._home, self._instruments = home, instruments
         self._mav = mavlink.MAVLink(None, srcSystem=SYSTEM, srcComponent=COMPONENT)
         self._rest = b""
+        self._fix = Fix(np.zeros(3), np.zeros(3))
         self._peer: socket.socket | None = None
         self._told_us = self._heard_us = -1
         self._lockstep = False  # it has answered once
@@ -135,7 +138,8 @@ class Px4Seat:
     def tell(self, own: Own) -> None:
         self._told_us = own.time_us
         out = [self._sensor(own)]
-        if own.time_us % GPS_US == 0:
+        self._fix = self._instruments.fix(own.time_us, own.x, own.v)
+        if own.time_us % self._instruments.fix_us == 0:
             out.append(self._gps(own))
         if own.time_us % TRUTH_US == 0:
             out.append(self._truth(own))
@@ -194,7 +198,7 @@ class Px4Seat:
         )  # fmt: skip
 
     def _gps(self, own: Own) -> Message:
-        x, v = self._instruments.fix(own.x, own.v)
+        x, v = self._fix
         lat, lon, alt = geodetic(self._home, x)
         north, east, down = (round(100 * c) for c in v.tolist())
         speed = math.hypot(north, east)

@@ -1,5 +1,6 @@
 """IMU, magnetometer, barometer and GPS of one vehicle: white noise and a constant bias, from one seeded generator."""
 
+from collections import deque
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +12,7 @@ SEA_LEVEL_HPA, LAPSE, POWER = 1013.25, 2.25577e-5, 5.25588  # ISA
 
 
 class Grades(NamedTuple):
-    """One standard deviation of the noise of each sample, and of the bias that is drawn once."""
+    """One standard deviation of the noise of each sample, and of the bias that is drawn once; how GPS is late."""
 
     acceleration: float = 0.02  # m/s^2
     rate: float = 0.002  # rad/s
@@ -23,6 +24,25 @@ class Grades(NamedTuple):
     rate_bias: float = 0.001
     field_bias: float = 0.0005
     pressure_bias: float = 0.02
+    position_bias: float = 0.0  # m
+    fix_us: int = 100_000  # between the fixes of the GPS receiver
+    fix_delay_us: int = 0  # how old what it tells is
+
+
+class Reading(NamedTuple):
+    """What everything but GPS reads at an instant."""
+
+    acceleration: Array  # (3,) m/s^2, B
+    rate: Array  # (3,) rad/s, B
+    field: Array  # (3,) gauss, B
+    pressure: float  # hPa
+
+
+class Fix(NamedTuple):
+    """What the GPS receiver told last."""
+
+    x: Array  # (3,) m, W
+    v: Array  # (3,) m/s, W
 
 
 class Instruments:
@@ -32,10 +52,14 @@ class Instruments:
 
     def __init__(self, grades: Grades, rng: np.random.Generator) -> None:
         self._g, self._rng = grades, rng
+        self.fix_us = grades.fix_us
         self._acceleration = grades.acceleration_bias * rng.normal(size=3)
         self._rate = grades.rate_bias * rng.normal(size=3)
         self._field = grades.field_bias * rng.normal(size=3)
         self._pressure = grades.pressure_bias * float(rng.normal())
+        self._position = grades.position_bias * rng.normal(size=3) if grades.position_bias > 0.0 else np.zeros(3)
+        self._ways: deque[tuple[int, Array, Array]] = deque()  # where it was, as far back as a fix may be late
+        self._last: Fix | None = None
 
     def acceleration(self, specific_force: Array) -> Array:
         """(3,) m/s^2, B."""
@@ -58,7 +82,19 @@ class Instruments:
         """Above sea level, as a barometer makes it of its pressure."""
         return float((1.0 - (pressure_hPa / SEA_LEVEL_HPA) ** (1.0 / POWER)) / LAPSE)
 
-    def fix(self, x: Array, v: Array) -> tuple[Array, Array]:
-        """(3,) m and (3,) m/s, W: what the GPS receiver makes of where it is and how it moves."""
-        normal = self._rng.normal(size=(2, 3))
-        return x + self._g.position * normal[0], v + self._g.velocity * normal[1]
+    def reading(self, specific_force: Array, Omega: Array, R: Array, altitude_m: float) -> Reading:
+        """Everything but GPS."""
+        return Reading(
+            self.acceleration(specific_force), self.rate(Omega), self.field_gauss(R), self.pressure_hPa(altitude_m)
+        )  # fmt: skip
+
+    def fix(self, time_us: int, x: Array, v: Array) -> Fix:
+        """What the GPS receiver tells at `time_us` of its place and speed: new at its rate, old by its delay."""
+        self._ways.append((time_us, x.copy(), v.copy()))
+        while len(self._ways) > 1 and self._ways[1][0] <= time_us - self._g.fix_delay_us:
+            self._ways.popleft()
+        if self._last is None or time_us % self._g.fix_us == 0:
+            _, then, speed = self._ways[0]
+            normal = self._rng.normal(size=(2, 3))
+            self._last = Fix(then + self._position + self._g.position * normal[0], speed + self._g.velocity * normal[1])
+        return self._last
