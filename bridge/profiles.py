@@ -24,7 +24,7 @@ PROFILES = {
         ("OFFBOARD", 6 << 16, (1.0, 6.0)),
         ("HOLD", 4 << 16 | 3 << 24, (1.0, 4.0, 3.0)),
         ("THR_MDL_FAC",),
-        10.0,
+        30.0,
         lambda limit_N, known: MotorCommand(limit_N, known.get("THR_MDL_FAC", 0.0)),
     ),
     mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: Profile(

@@ -18,6 +18,7 @@ ASK_S, ASK_LATER_S, SETTLED = 0.1, 1.0, 20  # wall clock; round trips until it i
 ENOUGH = 5  # round trips
 STEP_NS = 5_000_000  # simulated clocks go in steps: what one tells may be as old as its step
 SLOW_NS = 200_000_000  # a round trip that tells nothing
+ORIGIN_MS = 5_000  # that a vehicle's origin is waited for
 BREATHS = 16  # questions that are remembered
 
 
@@ -73,6 +74,7 @@ class Relation:
         self._next = 0.0
         self._origins: dict[int, Origin] = {}
         self._shifts: dict[int, Array] = {}
+        self._positions_since: dict[int, int] = {}  # ms of the vehicle's clock
         if not asks:
             for clock in self._clocks.values():
                 clock.offset_ms = 0
@@ -136,6 +138,10 @@ class Relation:
                 value = value._replace(boot_us=value.boot_us - 1000 * clock.offset_ms)
             else:
                 value = value._replace(boot_ms=value.boot_ms - clock.offset_ms)
+        if self.asks and isinstance(value, VehiclePosition) and system not in self._origins:
+            since = self._positions_since.setdefault(system, value.boot_ms)
+            if value.boot_ms - since < ORIGIN_MS:
+                return None  # nobody knows yet from where; one that never says is taken to share ours
         if isinstance(value, VehiclePosition) and system in self._shifts:
             value = value._replace(x=value.x + self._shifts[system])
         return value

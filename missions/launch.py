@@ -19,6 +19,7 @@ from sitl.external.joint import frame_us
 ARM_M = 0.17  # of rotors that nothing is said of
 RATE_LOOP = 18.0  # rad/s: the bandwidth that rate gains are scaled to
 STOP_S = 5.0
+COMPASS_OFFSETS = {"X": 5.0, "Y": 13.0, "Z": -18.0}  # that SITL's compasses have; without them none is calibrated
 
 
 class Launch(NamedTuple):
@@ -81,7 +82,7 @@ def _px4(flight: Flight, i: int, binary: Path, offset: int, speed: float) -> Lau
     environment = {"PX4_SIM_MODEL": "none_iris", "PX4_SIM_SPEED_FACTOR": f"{speed if math.isfinite(speed) else 10:g}"}
     environment |= {f"PX4_PARAM_{name}": f"{value:g}" for name, value in px4_parameters(flight, i).items()}
     etc = root / "etc" if binary.is_absolute() else Path("etc")
-    argv = (str(binary), "-i", str(i), "-d", "-s", str(etc / "init.d-posix" / "rcS"), str(etc))
+    argv = (str(binary), "-i", str(i), "-d", str(etc))
     return Launch(f"vehicle-{i + 1}-px4", argv, environment, {})
 
 
@@ -103,7 +104,10 @@ def ardupilot_parameters(flight: Flight, i: int) -> str:
     tilting, turning = authority(flight, i)
     p, yaw = min(max(RATE_LOOP / tilting, 0.01), 0.5), min(max(0.5 * RATE_LOOP / turning, 0.05), 2.5)
     share = float(flight.system.m[i]) * flight.system.g / float(flight.airframe.max_thrust[i])
-    values = {
+    calibrated = {f"COMPASS_OFS{k}_{a}": v for k in ("", "2", "3") for a, v in COMPASS_OFFSETS.items()}
+    calibrated |= {f"INS_ACC{k}OFFS_{a}": 0.001 for k in ("", "2", "3") for a in "XYZ"}
+    calibrated |= {f"INS_ACC{k}SCAL_{a}": 1.001 for k in ("", "2", "3") for a in "XYZ"}
+    values = calibrated | {
         "FRAME_CLASS": 1.0, "FRAME_TYPE": 1.0, "GUID_OPTIONS": 8.0, "GUID_TIMEOUT": 3.0,
         "MOT_THST_EXPO": 0.65, "MOT_SPIN_MIN": 0.15, "MOT_SPIN_MAX": 0.95, "MOT_SPIN_ARM": 0.1, "MOT_BAT_VOLT_MAX": 0.0,
         "MOT_THST_HOVER": min(max(share, 0.125), 0.6875), "MOT_HOVER_LEARN": 0.0, "MOT_YAW_HEADROOM": 100.0,

@@ -132,7 +132,7 @@ def test_setpoints_flow_a_second_before_offboard_is_asked_for() -> None:
 
 @pytest.mark.parametrize(
     ("command", "text"),
-    [(511, "8 s for its streams"), (176, "8 s for mode OFFBOARD"), (400, "10 s for arming")],
+    [(511, "8 s for its streams"), (176, "8 s for mode OFFBOARD"), (400, "30 s for arming")],
 )
 def test_a_request_nobody_answers_ends_with_what_was_waited_for(command: int, text: str) -> None:
     p = Played()

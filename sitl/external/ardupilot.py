@@ -101,6 +101,10 @@ class ArduPilotSeat:
         return self._address is not None
 
     @property
+    def engaged(self) -> bool:
+        return self.present
+
+    @property
     def settled(self) -> bool:
         return self._waits
 

@@ -30,6 +30,7 @@ from sitl.plant import Truth
 from sitl.settings import Event, Report, Settings, Sink, own_generator, plant_of, sensors_of
 
 FRAME_US = 1250  # the longest step: ArduCopter does not arm below 1.8 times its loop rate of 400 Hz
+START_US = 1_000_000  # of the physics' clock: no firmware is told that it is 0
 GRACE_S = 30.0  # of the physics' clock, for those that are left
 CARRIED_S, STEADY = 0.5, 0.04  # what a vehicle gives must be more than its weight, and change by no more, for so long
 LANDED_US = 200_000
@@ -87,7 +88,7 @@ class JointServer:
         self._bears: list[tuple[int, float]] = [(0, 0.0)] * n  # since when a vehicle gives as much, N
         self._v = self.plant.kinematics()[1]
         self._force = np.tile(np.array([0.0, 0.0, -s.system.g]), (n, 1))
-        self.now_us = 0
+        self.now_us = START_US
         self._steps = 0
         self._pace_from: tuple[int, float] | None = None
 
@@ -186,7 +187,10 @@ class JointServer:
         """Not ahead of the wall clock: autopilots that do not pace themselves go as fast as they are told."""
         speed = self.settings.speed
         if math.isinf(speed):
-            return
+            if all(seat.engaged for seat in self.seats):
+                self._pace_from = None
+                return
+            speed = 1.0
         if self._pace_from is None:
             self._pace_from = (self.now_us, time.monotonic())
         first, start = self._pace_from

@@ -110,6 +110,10 @@ class Px4Seat:
         return self._peer is not None
 
     @property
+    def engaged(self) -> bool:
+        return self._lockstep
+
+    @property
     def settled(self) -> bool:
         return not self._lockstep or self._heard_us >= self._told_us
 

@@ -45,6 +45,10 @@ class Seat(Protocol):
         """Whether the autopilot has come."""
 
     @property
+    def engaged(self) -> bool:
+        """Whether it keeps step with us, so that time may go as fast as both can."""
+
+    @property
     def settled(self) -> bool:
         """Whether it has said what it does with the newest state it was told."""
 
