@@ -1,6 +1,7 @@
 """What a recording begins with: the run, the system and its gains, the scenario."""
 
 import json
+import math
 import platform
 import subprocess
 import time
@@ -10,6 +11,7 @@ from pathlib import Path
 
 from cablequad import lie
 from cablequad.design import Design
+from cablequad.turned import about_down
 from logs.encode import SCHEMA_VERSION, Model
 from logs.recorder import Attachment, RecorderError
 from missions.mission import standing
@@ -17,7 +19,7 @@ from missions.scenario import Flight
 from missions.scribe import Opening
 
 
-def opening(flight: Flight, design: Design, out: Path, lockstep: bool, connected: bool) -> Opening:
+def opening(flight: Flight, design: Design, out: Path, lockstep: bool, connected: bool, vehicles: str) -> Opening:
     """What a recording of the flight begins with, in a new file in `out`. Raises RecorderError."""
     s = flight.scenario
     try:
@@ -43,7 +45,7 @@ def opening(flight: Flight, design: Design, out: Path, lockstep: bool, connected
         "frame": "NED world, FRD bodies",
         "quaternion_order": "wxyz",
         "units": "SI",
-        "vehicles": "connected" if connected else "built-in",
+        "vehicles": vehicles,
     }
     gains = {"K_x": design.K_x.tolist(), "K_xdot": design.K_xdot.tolist(), "u_star": design.u_star.tolist()}
     return Opening(
@@ -68,7 +70,8 @@ def opening(flight: Flight, design: Design, out: Path, lockstep: bool, connected
 
 def _model(flight: Flight, design: Design) -> Model:
     x, y, z = flight.scenario.payload.box_m
-    w, a, b, c = lie.quat_from_rotation(design.hanging.R0).tolist()
+    turned = about_down(math.radians(flight.scenario.target.yaw_deg))
+    w, a, b, c = lie.quat_from_rotation(turned @ design.hanging.R0).tolist()
     return Model(flight.system, (x, y, z), tuple(flight.airframe.max_thrust.tolist()), (w, a, b, c))
 
 

@@ -133,7 +133,8 @@ def _run(flight: Flight, design: Design, options: Options, progress: Progress) -
         external = options.backend != "builtin"
         lockstep = math.isinf(options.speed) and not options.connect and not external
         patience = max(flight.scenario.link.connect_timeout_s, BOOT_S if external else 0.0)
-        beginning = opening(flight, design, options.out, lockstep, bool(options.connect))
+        who = "connected" if options.connect else options.backend
+        beginning = opening(flight, design, options.out, lockstep, bool(options.connect), who)
         scribe = Scribe(beginning)
         if options.live:
             show = Show(beginning.path)
