@@ -68,7 +68,7 @@ class DatagramPort:
         self.socket.setblocking(False)
         peer = endpoint.peer
         here = endpoint.bind or ("127.0.0.1" if peer is not None and peer[0] == "127.0.0.1" else "", 0)
-        _bind(self.socket, here, "udp")
+        bind(self.socket, here, "udp")
         watch.register(self.socket, selectors.EVENT_READ, index)
 
     def receive(self, ready: socket.socket, now: float) -> list[tuple[Address, bytes]]:
@@ -141,7 +141,7 @@ class StreamPort:
             self._listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
             self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             self._listener.setblocking(False)
-            _bind(self._listener, endpoint.bind, "tcp")
+            bind(self._listener, endpoint.bind, "tcp")
             self._listener.listen(PEERS_KEPT)
             watch.register(self._listener, selectors.EVENT_READ, index)
 
@@ -249,7 +249,8 @@ def open_port(endpoint: Endpoint, watch: selectors.BaseSelector, index: int) -> 
     return (StreamPort if endpoint.stream else DatagramPort)(endpoint, watch, index)
 
 
-def _bind(new: socket.socket, address: Address, kind: str) -> None:
+def bind(new: socket.socket, address: Address, kind: str) -> None:
+    """Give a socket its address. Raises LinkError, and closes the socket, where that is taken."""
     try:
         new.bind(address)
     except OSError as error:

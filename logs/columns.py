@@ -4,7 +4,7 @@ Messages of one recording mostly have the same layout: those of one length are l
 bytes. Where some of them are laid out otherwise they go through the protobuf library one by one.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,6 +27,16 @@ class _Piece(NamedTuple):
 
 class _Unlike(Exception):
     """Messages that cannot be read side by side."""
+
+
+GROUNDED = ("prepare", "preflight", "arm", "disarm")  # phases in which nothing flies
+CARRYING = ("fly", "lift", "carry", "set down")  # phases in which the load hangs and is flown along its reference
+
+
+def flown(control: Mapping[str, np.ndarray]) -> np.ndarray:
+    """(k,) bool: which decisions of /control/state were made in flight."""
+    phase = control["phase"]
+    return (phase == "fly") | ((control["t"] > 0.0) & ~np.isin(phase, GROUNDED))
 
 
 def columns(kind: Any, messages: Sequence[bytes]) -> dict[str, np.ndarray]:

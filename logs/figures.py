@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from cablequad.types import Array
+from logs.columns import CARRYING, flown
 from logs.encode import color
 from logs.motion import Motion, motion_of, rotate
 from logs.reader import LogError, Run
@@ -16,6 +17,7 @@ from logs.reader import LogError, Run
 AXES = ("#d55e00", "#009e73", "#0072b2")  # x, y, z: told apart by colour-blind readers, and by their line styles
 STYLES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
 PAPER_TIMES = (0.0, 0.14, 0.30, 0.68, 1.10, 1.36, 1.98, 3.48, 10.0)  # s: the paper's snapshots of Case 2
+ERRORS = ("e_x0", "e_v0", "e_Omega", "Psi_0", "e_q", "e_w")
 WIDTH = 10.5  # inches
 COLUMN = 1.75  # inches, of a snapshot
 
@@ -65,13 +67,13 @@ def tensions(run: Run) -> Figure:
     m = motion_of(run, 250.0)
     figure = Figure(figsize=(WIDTH, 6.0), layout="constrained")
     grid = figure.subplots(2, 2, sharex=True)
-    flown = (m.t >= 0) & (m.t <= t[-1])
-    _vehicles(grid[0, 0], m.t[flown], m.tension[flown].max(axis=2), "largest tension in a cable [N]")
-    _vehicles(grid[0, 1], m.t[flown], m.tension[flown].min(axis=2), "smallest tension in a cable [N]")
+    own = (m.t >= 0) & (m.t <= t[-1])
+    _vehicles(grid[0, 0], m.t[own], m.tension[own].max(axis=2), "largest tension in a cable [N]")
+    _vehicles(grid[0, 1], m.t[own], m.tension[own].min(axis=2), "smallest tension in a cable [N]")
     grid[0, 1].axhline(0.0, color="#d55e00", linewidth=0.8)
     grid[0, 1].annotate("below: slack", (0.99, 0.02), xycoords="axes fraction", ha="right", fontsize=8, color="#d55e00")
     limit = np.array(m.model["max_thrust_N"])
-    _vehicles(grid[1, 0], m.t[flown], 100 * m.thrust[flown] / limit, "thrust, share of the limit [%]")
+    _vehicles(grid[1, 0], m.t[own], 100 * m.thrust[own] / limit, "thrust, share of the limit [%]")
     grid[1, 1].plot(t, 1e3 * c["state_age"], color="0.15", linewidth=0.9)
     grid[1, 1].set_ylabel("age of the state used [ms]")
     grid[1, 1].set_ylim(0.0, max(1.0, 1.1e3 * float(c["state_age"].max())))
@@ -142,12 +144,17 @@ def _flown(run: Run) -> tuple[dict[str, np.ndarray], Array]:
     if control is None:
         raise LogError(f"log {run.path}: no decision in it to draw")
     ended = next((e.time_ns for e in run.events if e.kind == "end"), None)
-    rows = control["phase"] == "fly"
+    rows = flown(control)
     if ended is not None:
         rows = rows & (control["sim_time_ns"] <= ended)
     if not rows.any():
         raise LogError(f"log {run.path}: nothing was flown; there is nothing to draw")
-    return {name: values[rows] for name, values in control.items()}, control["t"][rows]
+    c = {name: values[rows] for name, values in control.items()}
+    slack = ~np.isin(c["phase"], CARRYING)
+    if slack.any():  # no law of hanging loads flies then: its errors say nothing
+        for name in ERRORS:
+            c[name] = np.where(slack.reshape(-1, *[1] * (c[name].ndim - 1)), np.nan, c[name])
+    return c, c["t"]
 
 
 def _rates(run: Run, t: Array) -> Array:

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from logs.columns import flown
 from logs.reader import LogError, Run, entries, frame_headers, is_complete, missing_before, read
 
 GAP = 5.0  # times a topic's usual interval
@@ -81,9 +82,9 @@ def info(path: Path) -> dict[str, Any]:
 
 def _flown_s(columns: dict[str, dict[str, np.ndarray]]) -> float:
     control = columns.get("/control/state")
-    if control is None or not (control["phase"] == "fly").any():
+    if control is None or not flown(control).any():
         return 0.0
-    return float(control["t"][control["phase"] == "fly"].max())
+    return float(control["t"][flown(control)].max())
 
 
 def check(path: Path) -> list[Finding]:

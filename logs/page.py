@@ -50,7 +50,7 @@ def page(run: Run, figures: Mapping[str, Path]) -> str:
         verdict, said = "failed", "the run did not end in order: the log has no result"
     parts = [
         f"<!doctype html><html lang=en><meta charset=utf-8><title>{name}</title><style>{STYLE}</style>",
-        f"<h1>{name}</h1><p class='verdict {verdict}'>{verdict}: {said}</p>",
+        f"<h1>{name}</h1><p class='verdict {verdict}'>{verdict}: {said}</p><p>{_answered(run)}</p>",
         _table(("", "", "asked"), _summary(result)),
     ]
     for key, path in figures.items():
@@ -104,6 +104,18 @@ def _links(run: Run) -> list[tuple[str, ...]]:
         rate = f"{len(sender) / span:.1f}" if span > 0 else ""
         rows.append((html.escape(topic), str(len(sender)), rate, str(missing)))
     return rows
+
+
+ANSWERS = ("failure", "autopilot-lost", "lost", "crew", "guard", "pause", "resume", "abort")
+
+
+def _answered(run: Run) -> str:
+    """One line: what went wrong, and what the controller did about it."""
+    told = [e for e in run.events if e.kind.removeprefix("sitl-") in ANSWERS]
+    if not told:
+        return "Nothing went wrong: it was flown as planned."
+    at = [f"{(e.time_ns - run.release_ns) * 1e-9:.2f} s {e.subject}: {e.text}" for e in told]
+    return html.escape("What went wrong, and what was done: " + "; ".join(at) + ".")
 
 
 def _events(run: Run) -> list[tuple[str, ...]]:

@@ -495,6 +495,9 @@ def test_four_autopilots_fly_from_the_ground_to_the_ground(kinds: str, tmp_path:
     assert phases == [
         "preflight", "arm", "take off", "tension", "lift", "carry", "set down", "release", "land", "disarm"
     ]  # fmt: skip
+    code, out, err = cablequad("report", s["log"])
+    assert code == 0, err
+    assert "Nothing went wrong" in Path(out.strip()).read_text()
 
 
 def test_two_of_each_carry_it_together_while_two_of_them_are_hostile(tmp_path: Path) -> None:

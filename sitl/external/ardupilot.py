@@ -12,7 +12,7 @@ import socket
 import struct
 from typing import NamedTuple
 
-from bridge.ports import Address, LinkError
+from bridge.ports import Address, bind
 from cablequad import lie
 from sitl.external.seat import Own, SeatError, Tally
 
@@ -77,9 +77,9 @@ def line(own: Own) -> bytes:
 class ArduPilotSeat:
     """One ArduPilot behind its UDP port."""
 
-    def __init__(self, vehicle: int, bind: Address) -> None:
+    def __init__(self, vehicle: int, here: Address) -> None:
         """`vehicle` counts from 1. Raises LinkError where the port is taken."""
-        self.who = f"vehicle {vehicle} (ArduPilot, udp {bind[0]}:{bind[1]})"
+        self.who = f"vehicle {vehicle} (ArduPilot, udp {here[0]}:{here[1]})"
         self.tally = Tally()
         self.share = (0.0, 0.0, 0.0, 0.0)
         self._frame = -1
@@ -88,13 +88,7 @@ class ArduPilotSeat:
         self._answer = b""
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
-        try:
-            self._socket.bind(bind)
-        except OSError as error:
-            self._socket.close()
-            raise LinkError(
-                f"udp {bind[0]}:{bind[1]}: {error.strerror}; another simulator may be running there (--port-offset)"
-            ) from None
+        bind(self._socket, here, "udp")
 
     @property
     def present(self) -> bool:

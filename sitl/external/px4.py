@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bridge.ports import Address, LinkError
+from bridge.ports import Address, bind
 from bridge.wire.dialect import Message, mavlink
 from bridge.wire.frames import checksum, unpack
 from bridge.wire.telemetry import Home
@@ -81,9 +81,9 @@ def split(data: bytes) -> tuple[list[Controls], bytes, int]:
 class Px4Seat:
     """One PX4 behind its TCP port."""
 
-    def __init__(self, vehicle: int, bind: Address, home: Home, instruments: Instruments) -> None:
+    def __init__(self, vehicle: int, here: Address, home: Home, instruments: Instruments) -> None:
         """`vehicle` counts from 1. Raises LinkError where the port is taken."""
-        self.who = f"vehicle {vehicle} (PX4, tcp {bind[0]}:{bind[1]})"
+        self.who = f"vehicle {vehicle} (PX4, tcp {here[0]}:{here[1]})"
         self.tally = Tally()
         self.share = (0.0, 0.0, 0.0, 0.0)
         self._home, self._instruments = home, instruments
@@ -96,14 +96,8 @@ class Px4Seat:
         self._listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         self._listener.setblocking(False)
-        try:
-            self._listener.bind(bind)
-            self._listener.listen(1)
-        except OSError as error:
-            self._listener.close()
-            raise LinkError(
-                f"tcp {bind[0]}:{bind[1]}: {error.strerror}; another simulator may be running there (--port-offset)"
-            ) from None
+        bind(self._listener, here, "tcp")
+        self._listener.listen(1)
 
     @property
     def present(self) -> bool:
