@@ -25,6 +25,8 @@ _READ: dict[int, Any] = {
     Opcode.CHUNK: Chunk, Opcode.MESSAGE: Message, Opcode.SCHEMA: Schema, Opcode.CHANNEL: Channel,
     Opcode.METADATA: Metadata, Opcode.ATTACHMENT: Attachment,
 }  # fmt: skip
+_INDEX = np.dtype([("time", "<u8"), ("offset", "<u8")])  # of a message in its chunk
+_LENGTH = np.arange(1, 9)  # bytes of a record's length, from its start
 OWN = "cablequad."  # schemas whose topics become columns
 
 EVENTS = ("/event", "/plant/event")
@@ -101,6 +103,25 @@ def _guarded(path: Path, read: Callable[[Any], Iterator[Any]]) -> Iterator[Any]:
         except Exception as error:  # decompression errors of a cut chunk have no common type
             if type(error).__module__.split(".")[0] not in ("zstandard", "lz4", "struct", "zlib"):
                 raise
+
+
+def _raw(file: Any) -> Iterator[tuple[int, bytes]]:
+    """The records of an open file up to its summary, unread; one that nobody reads stands for the end of a chunk.
+
+    Ends where the file is cut.
+    """
+    file.seek(8)
+    while True:
+        head = file.read(9)
+        opcode, length = _RECORD.unpack(head) if len(head) == 9 else (Opcode.DATA_END, 0)
+        wanted = opcode in _READ or opcode == Opcode.MESSAGE_INDEX
+        data = file.read(length) if wanted else b""
+        if opcode == Opcode.DATA_END or (wanted and len(data) < length):
+            yield Opcode.DATA_END, b""
+            return
+        if not wanted:
+            file.seek(length, io.SEEK_CUR)
+        yield opcode, data
 
 
 def _records(file: Any, at: int = 8) -> Iterator[Any]:
@@ -184,6 +205,46 @@ class _Contents:
                         self.collect([_parsed(opcode, data[at + 9 : at + 9 + length])], into)
                 at += 9 + length
 
+    def gather(self, records: Iterable[tuple[int, bytes]], into: dict[int, Frames]) -> None:
+        """As `collect`, of unread records with the indexes of chunks among them, which say where messages stand."""
+        chunk: Chunk | None = None
+        indexes: list[bytes] = []
+        for opcode, data in records:
+            if opcode == Opcode.MESSAGE_INDEX and chunk is not None:
+                indexes.append(data)
+                continue
+            if chunk is not None:
+                self._take(chunk, indexes, into)
+                chunk, indexes = None, []
+            if opcode == Opcode.CHUNK:
+                chunk = _parsed(opcode, data)
+            elif opcode in _READ:
+                self.collect([_parsed(opcode, data)], into)
+
+    def _take(self, chunk: Chunk, indexes: list[bytes], into: dict[int, Frames]) -> None:
+        """A chunk by its indexes where they name all that is in it, else record by record."""
+        stream, size = get_chunk_data_stream(chunk, validate_crc=True)
+        data = stream.read(size)
+        raw, named = np.frombuffer(data, np.uint8), 0
+        found: list[tuple[int, list[int], list[bytes]]] = []
+        for index in indexes:
+            entries = np.frombuffer(index, _INDEX, offset=6)
+            starts = entries["offset"].astype(np.int64)
+            if not len(starts) or int(starts.max()) + 31 > size:
+                continue
+            lengths = raw[starts[:, None] + _LENGTH].copy().view("<u8").ravel().astype(np.int64)
+            named += int(lengths.sum()) + 9 * len(starts)
+            spans = zip((starts + 31).tolist(), (starts + 9 + lengths).tolist(), strict=True)
+            channel = int.from_bytes(index[:2], "little")
+            found.append((channel, entries["time"].tolist(), [data[a:b] for a, b in spans]))
+        if named != size or any(channel not in self.channels for channel, _, _ in found):
+            self.collect([chunk], into)
+            return
+        for channel, times, bodies in found:
+            kept = self._kept(into, channel)
+            kept.time_ns.extend(times)
+            kept.data.extend(bodies)
+
     def _kept(self, into: dict[int, Frames], channel: int) -> Frames:
         if channel not in self.channels:
             raise KeyError(channel)
@@ -264,7 +325,7 @@ def read(path: Path) -> Run:
     by_channel: dict[int, Frames] = {}
 
     def collect(file: Any) -> Iterator[None]:
-        contents.collect(_records(file), by_channel)
+        contents.gather(_raw(file), by_channel)
         yield
 
     for _ in _guarded(path, collect):

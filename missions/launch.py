@@ -138,18 +138,31 @@ def _own(flight: Flight, i: int) -> dict[str, float]:
     return {name: float(value) for name, value in {**s.vehicle.parameters, **s.vehicles[i].parameters}.items()}
 
 
+def start_lines(starts: list[Launch], folder: Path) -> list[str]:
+    """Every autopilot's folder below `folder` with its files in it; the lines that start them. Raises ScenarioError."""
+    lines = []
+    for start in starts:
+        own = folder / start.name
+        try:
+            own.mkdir(parents=True, exist_ok=True)
+            for name, text in start.files.items():
+                (own / name).write_text(text)
+        except OSError as error:
+            raise ScenarioError(f"folder {own}: {error.strerror}; work where you may write") from None
+        lines.append(f"(cd {shlex.quote(str(own))} && {start.line()})")
+    return lines
+
+
 class Autopilots:
     """Their processes, each in a folder of its own below `folder`; what they print goes to autopilot.log there."""
 
     def __init__(self, starts: list[Launch], folder: Path) -> None:
         """Starts all. Raises ScenarioError where one cannot be."""
         self._processes: list[tuple[Launch, subprocess.Popen[bytes]]] = []
+        start_lines(starts, folder)
         try:
             for start in starts:
                 own = folder / start.name
-                own.mkdir(parents=True, exist_ok=True)
-                for name, text in start.files.items():
-                    (own / name).write_text(text)
                 with (own / "autopilot.log").open("wb") as log:
                     process = subprocess.Popen(
                         start.argv, cwd=own, env={**os.environ, **start.environment}, stdin=subprocess.DEVNULL,

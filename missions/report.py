@@ -23,7 +23,7 @@ class _Bar(Progress):
         self._shown = -1.0
 
     def say(self, text: str) -> None:
-        self._bar.console.print(text, highlight=False)
+        self._bar.console.print(text, highlight=False, markup=False, soft_wrap=True)
 
     def flown(self, t: float, duration: float, error_m: float, factor: float) -> None:
         if t - self._shown < duration / 100 and t < duration:

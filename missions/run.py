@@ -37,7 +37,7 @@ from cablequad.state import positions
 from cablequad.trajectory import at
 from logs.recorder import RecorderError
 from missions import scenario as scenarios
-from missions.launch import Autopilots, Launch, launches
+from missions.launch import Autopilots, Launch, launches, start_lines
 from missions.mission import felt
 from missions.opening import opening
 from missions.ready import Ready, ready
@@ -153,8 +153,10 @@ def _run(flight: Flight, design: Design, options: Options, progress: Progress) -
             simulator = Simulator(values, scribe.truth_end)
             if external and options.launch is not None:
                 autopilots = Autopilots(starts, beginning.path.with_suffix(""))
-            for start in starts if options.launch is None else ():
-                progress.say(f"start, in a folder of its own: {start.line()}")
+            if external and options.launch is None:
+                progress.say("start the autopilots:")
+                for line in start_lines(starts, beginning.path.with_suffix("")):
+                    progress.say(f"  {line}")
         scribe.wait_ready()
         watch = _Watch(scribe, _track(flight))
         if simulator is not None and lockstep:
@@ -167,16 +169,9 @@ def _run(flight: Flight, design: Design, options: Options, progress: Progress) -
             else:
                 few_collections()
                 outcome, timing = _fly(
-                    flight,
-                    prepared,
-                    link,
-                    watch,
-                    simulator,
-                    interrupted,
-                    progress,
-                    patience,
-                    external or bool(options.connect),
-                )
+                    flight, prepared, link, watch, simulator, interrupted, progress, patience,
+                    external or bool(options.connect), lambda: None if autopilots is None else autopilots.ended(),
+                )  # fmt: skip
         if simulator is not None:
             simulator.stop()
             while after := link.poll(0.0):  # what was still on its way is counted too
@@ -271,8 +266,9 @@ def _fly(
     progress: Progress,
     connect_timeout_s: float,
     asks: bool,
+    ended: Callable[[], str | None],
 ) -> tuple[Outcome, Timing]:
-    """`asks`: vehicles may have clocks of their own."""
+    """`asks`: vehicles may have clocks of their own. `ended` says which autopilot of ours has ended by itself."""
     s = flight.scenario
     fleet, mission = prepared.fleet, prepared.mission
     channels = {
@@ -289,6 +285,8 @@ def _fly(
             return watch.scribe.error
         if simulator is not None and simulator.failure is not None:
             return simulator.failure
+        if fleet.released_at is None and (gone := ended()) is not None:
+            return gone
         if sample is not None and (phase == FLY or (mission is not None and fleet.released_at is not None)):
             now = time.monotonic()
             if not started:

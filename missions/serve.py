@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from bridge.ports import vehicle_ports
-from missions.launch import Autopilots, launches
+from missions.launch import Autopilots, launches, start_lines
 from missions.scenario import Flight
 from missions.simulate import Serving, kinds, server_of, settings
 from sitl.external.ardupilot import ARDUPILOT_PORT
@@ -18,6 +18,8 @@ from sitl.external.px4 import PX4_PORT
 from sitl.places import places, tracker_endpoints
 from sitl.plant import Truth
 from sitl.settings import Event
+
+FOLDER = Path("autopilots")  # where they work
 
 
 def serve(flight: Flight, serving: Serving, launch: Path | None = None) -> None:
@@ -53,14 +55,12 @@ def serve(flight: Flight, serving: Serving, launch: Path | None = None) -> None:
         if serving.backend != "builtin":
             starts = launches(flight, serving.backend, launch, serving.port_offset, serving.host, serving.speed)
             if launch is None:
-                console.print("start the autopilots, each in a folder of its own:")
-                for start in starts:
-                    console.print(f"  {start.line()}", soft_wrap=True)
-                    for name, text in start.files.items():
-                        console.print(f"    {name}: {', '.join(text.splitlines())}", soft_wrap=True)
+                console.print("start the autopilots:")
+                for line in start_lines(starts, FOLDER):
+                    console.print(f"  {line}", soft_wrap=True)
             else:
-                autopilots = Autopilots(starts, Path("autopilots"))
-                console.print(f"{len(starts)} autopilots started, in {Path('autopilots').resolve()}")
+                autopilots = Autopilots(starts, FOLDER)
+                console.print(f"{len(starts)} autopilots started, in {FOLDER}")
         report = server.run(stopped.is_set)
     finally:
         server.close()

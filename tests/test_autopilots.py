@@ -5,6 +5,7 @@ The stand-ins (`tests/peers/autopilot.py`) are written from the protocols alone 
 
 import json
 import math
+import os
 import re
 import socket
 import subprocess
@@ -560,6 +561,53 @@ def test_sitl_serves_physics_that_fly_connects_to(tmp_path: Path) -> None:
     code, out, _ = served.wait()
     assert code == 0
     assert "stopped after" in out
+
+
+ARDUCOPTER = """#!{python}
+import os, sys
+arguments = sys.argv[1:]
+after = lambda word: arguments[arguments.index(word) + 1]
+assert after("--model") == "JSON:127.0.0.1" and os.path.exists(after("--defaults"))
+print("I am", os.getpid(), flush=True)
+os.execv(sys.executable, [sys.executable, {peer!r}, "ardupilot", "--instance", str(int(after("--sysid")) - 1),
+    "--physics", str(9002 + 10 * int(after("-I"))), "--mavlink", after("--serial0").rsplit(":", 1)[1]])
+"""
+
+
+def binary(folder: Path, text: str) -> Path:
+    """Something that is started as arducopter is."""
+    path = folder / "arducopter"
+    path.write_text(text)
+    path.chmod(0o755)
+    return path
+
+
+def test_autopilots_are_started_with_their_parameters_and_stopped_by_their_own_process_ids(tmp_path: Path) -> None:
+    path = binary(tmp_path, ARDUCOPTER.format(python=sys.executable, peer=str(PEER)))
+    offset = next_offset() // 10 * 10
+    s = flown(
+        "two-vehicles", "--backend", "ardupilot", "--launch", str(path), "--duration", "2", "--no-replay", "--out",
+        str(tmp_path), "--port-offset", str(offset), "--speed", "max",
+    )  # fmt: skip
+    assert s["flown_s"] == pytest.approx(2.0, abs=0.1), s["reason"]
+    folder = Path(s["log"]).with_suffix("")
+    for k in (1, 2):
+        own = folder / f"vehicle-{k}-arducopter"
+        assert "FRAME_TYPE 1" in (own / "vehicle.parm").read_text()
+        pid = int((own / "autopilot.log").read_text().split()[2])
+        with pytest.raises(ProcessLookupError):
+            os.kill(pid, 0)
+
+
+def test_an_autopilot_that_does_not_start_ends_the_run_at_once_with_its_name(tmp_path: Path) -> None:
+    path = binary(tmp_path, "#!/bin/sh\necho no such parameter\nexit 3\n")
+    offset = next_offset() // 10 * 10
+    code, _, err = cablequad(
+        "fly", "two-vehicles", "--backend", "ardupilot", "--launch", str(path), "--no-replay", "--out", str(tmp_path),
+        "--port-offset", str(offset),
+    )  # fmt: skip
+    assert code == 1
+    assert "vehicle-1-arducopter ended by itself (exit code 3); see its autopilot.log" in err
 
 
 # -- how vehicles answer -----------------------------------------------------------------------------------------------
