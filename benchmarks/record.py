@@ -1,4 +1,4 @@
-"""What recording costs: `python -m benchmarks.record [--seconds 20] [--out FILE]`.
+"""What recording costs: `python -m benchmarks.record [--seconds 60] [--out FILE]`.
 
 Case 1 in real time at 250 Hz with everything recorded, truth at 250 Hz and at 1 kHz: share of a core that the scribe
 takes, MB a minute, and what the control loop waits for handing things over. Beside it, in the same run, the same
@@ -136,7 +136,7 @@ def libraries(log: Path) -> dict[str, float]:
 def main() -> None:
     """Fly and print."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seconds", type=float, default=20.0)
+    parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--out", type=Path)
     arguments = parser.parse_args()
     table = Table(

@@ -1,8 +1,12 @@
 """MCAP in, whole or truncated; columns as named arrays, read by the schema that the file brings."""
 
+import gc
 import io
 import struct
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -27,6 +31,7 @@ _READ: dict[int, Any] = {
 }  # fmt: skip
 _INDEX = np.dtype([("time", "<u8"), ("offset", "<u8")])  # of a message in its chunk
 _LENGTH = np.arange(1, 9)  # bytes of a record's length, from its start
+AHEAD = 4  # chunks that are unpacked while an earlier one is taken in
 OWN = "cablequad."  # schemas whose topics become columns
 
 EVENTS = ("/event", "/plant/event")
@@ -103,6 +108,24 @@ def _guarded(path: Path, read: Callable[[Any], Iterator[Any]]) -> Iterator[Any]:
         except Exception as error:  # decompression errors of a cut chunk have no common type
             if type(error).__module__.split(".")[0] not in ("zstandard", "lz4", "struct", "zlib"):
                 raise
+
+
+def _unpacked(chunk: Chunk) -> bytes:
+    """What is in a chunk, its checksum checked."""
+    stream, size = get_chunk_data_stream(chunk, validate_crc=True)
+    return stream.read(size)
+
+
+@contextmanager
+def _no_collections() -> Iterator[None]:
+    """Hundreds of thousands of rows that stay are no reason to look for cycles."""
+    was = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was:
+            gc.enable()
 
 
 def _raw(file: Any) -> Iterator[tuple[int, bytes]]:
@@ -207,24 +230,25 @@ class _Contents:
 
     def gather(self, records: Iterable[tuple[int, bytes]], into: dict[int, Frames]) -> None:
         """As `collect`, of unread records with the indexes of chunks among them, which say where messages stand."""
-        chunk: Chunk | None = None
-        indexes: list[bytes] = []
-        for opcode, data in records:
-            if opcode == Opcode.MESSAGE_INDEX and chunk is not None:
-                indexes.append(data)
-                continue
-            if chunk is not None:
-                self._take(chunk, indexes, into)
-                chunk, indexes = None, []
-            if opcode == Opcode.CHUNK:
-                chunk = _parsed(opcode, data)
-            elif opcode in _READ:
-                self.collect([_parsed(opcode, data)], into)
+        coming: deque[tuple[Chunk, Future[bytes], list[bytes]]] = deque()  # chunks, oldest first, with their indexes
+        with ThreadPoolExecutor(1) as beside:  # decompression leaves the interpreter to us
+            for opcode, data in records:
+                if opcode == Opcode.MESSAGE_INDEX and coming:
+                    coming[-1][2].append(data)
+                elif opcode == Opcode.CHUNK:
+                    chunk = _parsed(opcode, data)
+                    coming.append((chunk, beside.submit(_unpacked, chunk), []))
+                    if len(coming) > AHEAD:
+                        self._take(*coming.popleft(), into)
+                elif opcode in _READ:
+                    self.collect([_parsed(opcode, data)], into)
+            while coming:
+                self._take(*coming.popleft(), into)
 
-    def _take(self, chunk: Chunk, indexes: list[bytes], into: dict[int, Frames]) -> None:
+    def _take(self, chunk: Chunk, unpacked: Future[bytes], indexes: list[bytes], into: dict[int, Frames]) -> None:
         """A chunk by its indexes where they name all that is in it, else record by record."""
-        stream, size = get_chunk_data_stream(chunk, validate_crc=True)
-        data = stream.read(size)
+        data = unpacked.result()
+        size = len(data)
         raw, named = np.frombuffer(data, np.uint8), 0
         found: list[tuple[int, list[int], list[bytes]]] = []
         for index in indexes:
@@ -328,9 +352,10 @@ def read(path: Path) -> Run:
         contents.gather(_raw(file), by_channel)
         yield
 
-    for _ in _guarded(path, collect):
-        pass
-    return _run(path, contents, by_channel, is_complete(path))
+    with _no_collections():
+        for _ in _guarded(path, collect):
+            pass
+        return _run(path, contents, by_channel, is_complete(path))
 
 
 class Tail:

@@ -103,7 +103,13 @@ def test_separation_is_that_of_the_closest_pair() -> None:
 
 
 @pytest.mark.parametrize(
-    "name", [s for s in SCRIPTS if "async def main" in (resources.files("missions") / "scripts" / s).read_text()]
+    "name",
+    [
+        s
+        for s in SCRIPTS
+        if "async def main" in (resources.files("missions") / "scripts" / s).read_text()
+        and s != "tilt_steps.py"  # flown by the test of `cablequad identify`
+    ],
 )
 def test_a_shipped_script_flies_and_is_short(name: str, tmp_path: Path) -> None:
     path = resources.files("missions") / "scripts" / name
