@@ -61,11 +61,11 @@ class Tried(NamedTuple):
     error_m: float  # largest over the last seconds; inf where it flew apart
 
 
-def measure(flight: Flight, design: Design | None = None) -> dict[str, Any]:
-    """Predicted and measured margins of a flight as plain values, ready for JSON."""
+def measure(flight: Flight, design: Design | None = None, bisections: int = BISECTIONS) -> dict[str, Any]:
+    """Predicted and measured margins of a flight as plain values, ready for JSON; the more `bisections` the finer."""
     design = design or scenarios.design(flight)
     period_ms = flight.control_us * 1e-3
-    rows = spread(partial(_row, design, flight), range(len(QUANTITIES)))
+    rows = spread(partial(_row, design, flight, bisections), range(len(QUANTITIES)))
     return {
         "scenario": flight.scenario.name,
         "law": flight.scenario.control.law,
@@ -76,7 +76,7 @@ def measure(flight: Flight, design: Design | None = None) -> dict[str, Any]:
     }
 
 
-def _row(design: Design, flight: Flight, which: int) -> dict[str, Any]:
+def _row(design: Design, flight: Flight, bisections: int, which: int) -> dict[str, Any]:
     quantity = QUANTITIES[which]
     predicted, bound = _predicted(design, flight, which)
     tried: list[Tried] = []
@@ -86,7 +86,7 @@ def _row(design: Design, flight: Flight, which: int) -> dict[str, Any]:
         tried.append(outcome)
         return outcome.held
 
-    reached = _bisected(quantity, holds)
+    reached = _bisected(quantity, holds, bisections)
     more = reached == quantity.far
     return {
         **quantity._asdict(), "predicted": predicted, "bound": bound, "measured": reached, "tried_all": more,
@@ -94,14 +94,14 @@ def _row(design: Design, flight: Flight, which: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _bisected(quantity: Quantity, holds: Callable[[float], bool]) -> float:
+def _bisected(quantity: Quantity, holds: Callable[[float], bool], bisections: int = BISECTIONS) -> float:
     """The furthest value that holds; NaN where not even the nominal one does."""
     good, bad = quantity.nominal, quantity.far
     if not holds(good):
         return float("nan")
     if holds(bad):
         return bad
-    while (abs(bad - good) > 1.0) if quantity.whole else (abs(bad - good) > abs(quantity.far - 1) / 2**BISECTIONS):
+    while (abs(bad - good) > 1.0) if quantity.whole else (abs(bad - good) > abs(quantity.far - 1) / 2**bisections):
         middle = 0.5 * (good + bad)
         middle = float(round(middle)) if quantity.whole else middle
         good, bad = (middle, bad) if holds(middle) else (good, middle)

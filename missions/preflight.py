@@ -19,6 +19,7 @@ from missions.scenario import Flight, ScenarioError
 from missions.summary import Summary
 
 LANES = 2  # flights at a time
+COARSE = 4  # bisections of a margin: whether it is enough is asked, not how large it is to a per cent
 PORTS = 200  # from one flight's to the next one's
 THRUST_SHARE = 0.6  # of its greatest, that a vehicle may need at rest
 ASKED = {
@@ -46,29 +47,33 @@ def preflight(flight: Flight, options: Options, tell: Callable[[str], None]) -> 
     """Every line, as soon as it is known; `tell` hears what is being done."""
     told: list[tuple[Drill, list[Future[Summary]]]] = []
     tell("design")
-    in_air = in_the_air(flight)
-    yield from _design(check(in_air, quick=True))
-    tell("margins")
-    yield from _margins(measure(in_air))
+    in_air, ground = in_the_air(flight), rehearsal(flight)
+    lines = check(in_air, quick=True)  # before anything flies: what cannot be designed is not flown
     with ProcessPoolExecutor(LANES, multiprocessing.get_context("spawn")) as pool:
-        tell("the flight itself and the drills")
-        nominal = pool.submit(_nominal, flight, options)
-        ground, flights = rehearsal(flight), 0
-        for drill in drills(flight):
-            pair = []
-            for protect in (True, False):
-                apart = replace(options, port_offset=options.port_offset + PORTS * (1 + flights))
-                pair.append(pool.submit(flown, ground, drill, protect, apart))
-                flights += 1
-            told.append((drill, pair))
-        summary = nominal.result()
-        if summary.log is None:
-            raise ScenarioError(summary.reason)
-        yield Line("flight", flight.scenario.name, "go" if summary.passed else "no-go", _told(summary._asdict()))
-        for drill, (protected, bare) in told:
-            tell(f"drill: {drill.name}, with protection and without")
-            result = compared(drill, protected.result(), bare.result())
-            yield Line("drill", f"{drill.name}: {drill.what}", result.verdict, result.why)
+        try:
+            nominal, flights = pool.submit(_nominal, flight, options), 0
+            for drill in drills(flight):
+                pair = []
+                for protect in (True, False):
+                    apart = replace(options, port_offset=options.port_offset + PORTS * (1 + flights))
+                    pair.append(pool.submit(flown, ground, drill, protect, apart))
+                    flights += 1
+                told.append((drill, pair))
+            yield from _design(lines)
+            tell("margins, and the flights meanwhile")
+            yield from _margins(measure(in_air, bisections=COARSE))
+            tell("the flight itself and the drills")
+            summary = nominal.result()
+            if summary.log is None:
+                raise ScenarioError(summary.reason)
+            yield Line("flight", flight.scenario.name, "go" if summary.passed else "no-go", _told(summary._asdict()))
+            for drill, (protected, bare) in told:
+                tell(f"drill: {drill.name}, with protection and without")
+                result = compared(drill, protected.result(), bare.result())
+                yield Line("drill", f"{drill.name}: {drill.what}", result.verdict, result.why)
+        except BaseException:
+            pool.shutdown(wait=True, cancel_futures=True)  # nobody flies on for a page that is not finished
+            raise
 
 
 def _nominal(flight: Flight, options: Options) -> Summary:
