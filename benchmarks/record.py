@@ -21,8 +21,9 @@ from rich.console import Console
 from rich.table import Table
 
 from logs import replay
-from logs.reader import entries, read
+from logs.reader import read
 from logs.recorder import CHUNK_BYTES
+from logs.records import entries
 from logs.schema import cablequad_pb2 as pb
 from logs.serialize import LogWriter, serialized
 from missions import scenario as scenarios

@@ -7,8 +7,9 @@ from typing import NamedTuple, Protocol
 from bridge.decide import Decider
 from bridge.faults import Channel
 from bridge.fleet import COMPONENT, SYSTEM, TRACKER, Fleet
+from bridge.gate import Gate
 from bridge.link import Address, Link, Received, Sent
-from bridge.observe import Gate, Instant, Loop
+from bridge.observe import Instant, Loop
 from bridge.relate import Related, Relation
 from bridge.thrust import ThrustScale, made_thrust_N
 from bridge.vehicle import Request

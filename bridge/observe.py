@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bridge.gate import REBOOT_MS
 from bridge.wire.values import CableShape, PayloadState, VehicleAttitude, VehiclePosition
 from cablequad import lie
 from cablequad.attitude import Airframe, Setpoint, flown
@@ -35,8 +36,6 @@ from cablequad.system import System
 from cablequad.types import Array
 
 KEPT = 64  # instants that late measurements may still belong to
-AWAITED = 5  # periods that a silent source is waited for
-REBOOT_MS = 1000  # a clock that goes back by more has begun anew
 
 
 class Loop(NamedTuple):
@@ -74,59 +73,6 @@ class _Parts:
         self.tension = np.zeros(n)
         self.cable_links = [0] * n
         self.links_missing = links
-
-
-class Gate:
-    """Says when a tick has come: every source that lives has spoken of it, or has let a later one begin."""
-
-    def __init__(self, vehicles: int, tracker: int, period_ms: int, sensing: Sensing = "full") -> None:
-        """With `sensing` "vehicles" a tracker is waited for only once it has spoken."""
-        self._newest = dict.fromkeys(range(1, vehicles + 1), -1)
-        if sensing != "vehicles":
-            self._newest[tracker] = -1
-        self._closing = VehiclePosition if sensing == "vehicles" else VehicleAttitude
-        self._tracker = tracker
-        self._period_ms = period_ms
-        self._told_ms = -1
-        self._own_time: set[int] = set()  # sources whose stamps are not the tracker's; nobody waits for them
-
-    def feed(self, source: int, value: object) -> None:
-        """Take a value that closes what `source` says of a tick."""
-        if isinstance(value, self._closing) and source != self._tracker:
-            stamp = value.boot_ms
-        elif isinstance(value, PayloadState) and source == self._tracker:
-            stamp = value.boot_us // 1000
-        else:
-            return
-        known = source in self._newest
-        if (source == self._tracker and not known) or (
-            known and (stamp > self._newest[source] or stamp < self._newest[source] - REBOOT_MS)
-        ):
-            self._newest[source] = stamp
-            tracker = self._newest.get(self._tracker, -1)
-            beside = tracker >= 0 and (stamp - tracker) % self._period_ms != 0
-            if source != self._tracker and known:
-                (self._own_time.add if beside else self._own_time.discard)(source)
-
-    def open(self) -> int | None:
-        """The tick (ms) that has come and was not told yet."""
-        stamps = [stamp for source, stamp in self._newest.items() if source not in self._own_time]
-        if not stamps or min(self._newest.values()) < 0:
-            return None
-        newest = max(stamps)
-        if newest <= self._told_ms and newest > self._told_ms - REBOOT_MS:
-            return None
-        late = newest - AWAITED * self._period_ms
-        if all(stamp == newest for stamp in stamps if stamp > late):
-            self._told_ms = newest
-            return newest
-        spoken = self._newest.get(self._tracker, -1)
-        gone_on = max(spoken, newest - self._period_ms)  # the tracker speaks last in a tick
-        earlier = gone_on - self._period_ms
-        if earlier > self._told_ms >= 0:  # what is missing of the tick before is not coming
-            self._told_ms = earlier
-            return earlier
-        return None
 
 
 class Observer:

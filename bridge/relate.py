@@ -8,9 +8,7 @@ told from the tracker's is taken for it. Their origins: GPS_GLOBAL_ORIGIN of eac
 import math
 from typing import Any, NamedTuple
 
-import numpy as np
-
-from bridge.wire.telemetry import EARTH_RADIUS
+from bridge.wire.earth import Home, local
 from bridge.wire.values import Imu, Origin, Timesync, VehicleAttitude, VehiclePosition
 from cablequad.types import Array
 
@@ -122,12 +120,14 @@ class Relation:
             for k in self._clocks:
                 there = self._origins.get(k)
                 if here is not None and there is not None and there != here:
-                    self._shifts[k] = _from(here, there)
+                    self._shifts[k] = local(Home(*here), *there)
                 else:
                     self._shifts.pop(k, None)
 
     def mapped(self, system: int, value: Any) -> Any:
         """`value` in the tracker's time and frame; None while the vehicle's clock is not known."""
+        if not self.asks and not self._shifts:
+            return value
         clock = self._clocks.get(system)
         if clock is None or not isinstance(value, VehicleAttitude | VehiclePosition | Imu):
             return value
@@ -145,10 +145,3 @@ class Relation:
         if isinstance(value, VehiclePosition) and system in self._shifts:
             value = value._replace(x=value.x + self._shifts[system])
         return value
-
-
-def _from(here: Origin, there: Origin) -> Array:
-    """(3,) m, NED: of one origin from another, on a sphere."""
-    north = math.radians(there.latitude_deg - here.latitude_deg) * EARTH_RADIUS
-    east = math.radians(there.longitude_deg - here.longitude_deg) * EARTH_RADIUS
-    return np.array([north, east * math.cos(math.radians(here.latitude_deg)), here.altitude_m - there.altitude_m])

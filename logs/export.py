@@ -8,7 +8,8 @@ from typing import IO
 import numpy as np
 from mcap.writer import CompressionType, Writer
 
-from logs.reader import Copied, LogError, Run, contents_of, entries
+from logs.reader import LogError, Run
+from logs.records import Copied, contents_of, entries
 from logs.schema import cablequad_pb2 as pb
 
 TRACKER_TOPIC = "payload"

@@ -7,7 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from logs.columns import flown
-from logs.reader import LogError, Run, entries, frame_headers, is_complete, missing_before, read
+from logs.reader import LogError, Run, frame_headers, missing_before, read
+from logs.records import entries, is_complete
 
 GAP = 5.0  # times a topic's usual interval
 SHOWN = 20  # findings of one kind

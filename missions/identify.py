@@ -12,15 +12,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.optimize import least_squares
 
-from bridge.fleet import TRACKER
-from bridge.relate import Related, Relation
 from bridge.wire.messages import decode
 from bridge.wire.telemetry import euler
 from bridge.wire.values import AttitudeTarget, VehicleAttitude
 from cablequad import lie
 from cablequad.types import Array
-from logs.reader import LogError, entries, read
+from logs.reader import LogError, read
+from logs.records import entries
 from logs.schema import cablequad_pb2 as pb
+from missions.redecide import Frame, told_by
 from missions.scenario import Flight
 
 STEP_S = 0.002
@@ -91,7 +91,7 @@ def identified(path: Path, flight: Flight) -> list[Response]:
     if not {"hover", "steps", "done"} <= set(marks):
         raise LogError(f"log {path}: no tilting of vehicles in it; it is not of a flight that was identified")
     n, system = len(flight.system.m), flight.system
-    heard = [_heard(path, i, marks["steps"], marks["done"]) for i in range(n)]
+    heard = _heard(path, n, marks["steps"], marks["done"])
     control = run.columns["/control/state"]
     now = control["sim_time_ns"] * 1e-9
     hovering = (now > marks["hover"]) & (now < marks["steps"])
@@ -108,28 +108,26 @@ def identified(path: Path, flight: Flight) -> list[Response]:
     return out
 
 
-def _heard(path: Path, i: int, begin: float, end: float) -> Heard:
-    told: list[tuple[float, float, float]] = []
-    seen: list[tuple[float, float, float]] = []
-    relation = Relation(i + 1, TRACKER, any(e.kind == "clock" for e in read(path).events))
+def _heard(path: Path, n: int, begin: float, end: float) -> list[Heard]:
+    commands: list[list[tuple[float, float, float]]] = [[] for _ in range(n)]
+    attitudes: list[list[tuple[float, float, float]]] = [[] for _ in range(n)]
     for entry in entries(path):
-        if entry.topic == "/event":
-            event = pb.Event.FromString(entry.data)
-            if event.kind == "clock" and Related.read(event.subject, event.text).vehicle == i + 1:
-                relation.set(Related.read(event.subject, event.text))
-        elif entry.topic in (f"/mavlink/quad{i + 1}/rx", f"/mavlink/quad{i + 1}/tx"):
+        if entry.topic.startswith("/mavlink/") and entry.topic.endswith("/tx"):
             frame = pb.MavlinkFrame.FromString(entry.data)
             value = decode(frame.msgid, frame.frame)
-            if isinstance(value, AttitudeTarget):
+            if isinstance(value, AttitudeTarget) and 1 <= value.system <= n:
                 roll, pitch, _ = euler(lie.rotation_from_quat(np.array(value.quat_wxyz)))
-                told.append((value.boot_ms * 1e-3, roll, pitch))
-            elif isinstance(value, VehicleAttitude) and frame.sysid == i + 1:
-                value = relation.mapped(i + 1, value)
-                if value is not None and begin <= value.boot_ms * 1e-3 <= end:
-                    roll, pitch, _ = euler(value.R)
-                    seen.append((value.boot_ms * 1e-3, roll, pitch))
-    commands, attitudes = np.array(told).reshape(-1, 3), np.array(sorted(seen)).reshape(-1, 3)
-    return Heard((commands[:, 0], commands[:, 1:]), attitudes[:, 0], attitudes[:, 1:])
+                commands[value.system - 1].append((value.boot_ms * 1e-3, roll, pitch))
+    for told in told_by(path):
+        if not isinstance(told, Frame) or not told.own or not 1 <= told.system <= n:
+            continue
+        value = told.mapped
+        if isinstance(value, VehicleAttitude) and begin <= value.boot_ms * 1e-3 <= end:
+            roll, pitch, _ = euler(value.R)
+            attitudes[told.system - 1].append((value.boot_ms * 1e-3, roll, pitch))
+    asked = [np.array(c).reshape(-1, 3) for c in commands]
+    seen = [np.array(sorted(a)).reshape(-1, 3) for a in attitudes]
+    return [Heard((c[:, 0], c[:, 1:]), a[:, 0], a[:, 1:]) for c, a in zip(asked, seen, strict=True)]
 
 
 def with_responses(flight: Flight, found: list[Response]) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from bridge.ports import vehicle_ports
-from bridge.wire.telemetry import Home
+from bridge.wire.earth import Home
 from missions.scenario import Flight, ScenarioError
 from missions.simulate import Backend, kinds
 from sitl.external.ardupilot import MOTORS
@@ -65,7 +65,7 @@ def _ardupilot(flight: Flight, i: int, binary: Path, offset: int, host: str, spe
     if offset % 10 and binary.is_absolute():
         raise ScenarioError(f"--port-offset {offset}: ArduPilot's ports move in steps of 10")
     home = Home()
-    rate = round(1e6 / frame_us(flight.physics_us))
+    rate = round(1e6 / frame_us(flight.physics_us, flight.tick_us))
     argv = (
         str(binary), "--model", f"JSON:{host}", "-I", str(i + offset // 10), "--sysid", str(i + 1), "--home",
         f"{home.latitude_deg},{home.longitude_deg},{home.altitude_m:g},0", "--rate", str(rate), "--speedup",

@@ -22,7 +22,8 @@ from cablequad.pilot import Measurement, first_memory, tick
 from cablequad.trajectory import at
 from logs import encode
 from logs.columns import columns
-from logs.reader import LogError, entries, read
+from logs.reader import LogError, read
+from logs.records import entries
 from logs.schema import cablequad_pb2 as pb
 from missions import scenario as scenarios
 from missions.ready import loop_of, ready
@@ -78,7 +79,7 @@ def _follow(path: Path, flight: Flight, design: Design) -> list[bytes]:
     """The decisions of a plan; when it flies and when it was released is taken from the log."""
     observer = Observer(loop_of(flight))
     memory, after = first_memory(design), []
-    for told in _told(path):
+    for told in told_by(path):
         match told:
             case Frame():
                 if told.own:
@@ -102,7 +103,7 @@ def _follow_mission(path: Path, flight: Flight, design: Design) -> list[bytes]:
     assert mission is not None
     after: list[bytes] = []
     heard: float | None = None  # s, of frames that came before the first decision
-    for told in _told(path):
+    for told in told_by(path):
         match told:
             case Frame():
                 if heard is not None and told.now != heard and not after:
@@ -135,7 +136,7 @@ class Frame(NamedTuple):
     own: bool  # of the flight controller itself, or of the tracker
 
 
-def _told(path: Path) -> Iterator[Frame | pb.Event | pb.ControlState]:
+def told_by(path: Path) -> Iterator[Frame | pb.Event | pb.ControlState]:
     """What a log says that decisions go by, in its order; what vehicles say is in the tracker's time and frame."""
     run = read(path)
     epoch_ns = run.epoch_ns

@@ -15,7 +15,7 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 
 from bridge.link import LinkError
-from bridge.wire.telemetry import Home
+from bridge.wire.earth import Home
 from cablequad.noise import Biases
 from missions import scenario as scenarios
 from missions.channel import Failure, Ready, Status, put
@@ -107,7 +107,7 @@ def _external(flight: Flight, backend: Backend) -> External | None:
     if backend == "builtin":
         return None
     try:
-        frame_us(flight.physics_us)
+        frame_us(flight.physics_us, flight.tick_us)
     except ValueError as error:
         raise ScenarioError(f"scenario {flight.scenario.name}: {error}") from None
     for f in flight.scenario.failures:

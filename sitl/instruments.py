@@ -5,10 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bridge.wire.earth import FIELD_GAUSS, pressure_hPa
 from cablequad.types import Array
-
-FIELD_GAUSS = np.array([0.2158, 0.0121, 0.4335])  # NED, at the home position (declination 3.2 deg, inclination 63.5)
-SEA_LEVEL_HPA, LAPSE, POWER = 1013.25, 2.25577e-5, 5.25588  # ISA
 
 
 class Grades(NamedTuple):
@@ -75,12 +73,7 @@ class Instruments:
 
     def pressure_hPa(self, altitude_m: float) -> float:
         """At an altitude above sea level, in the standard atmosphere."""
-        exact = SEA_LEVEL_HPA * (1.0 - LAPSE * altitude_m) ** POWER
-        return float(exact + self._pressure + self._g.pressure * self._rng.normal())
-
-    def altitude_m(self, pressure_hPa: float) -> float:
-        """Above sea level, as a barometer makes it of its pressure."""
-        return float((1.0 - (pressure_hPa / SEA_LEVEL_HPA) ** (1.0 / POWER)) / LAPSE)
+        return float(pressure_hPa(altitude_m) + self._pressure + self._g.pressure * self._rng.normal())
 
     def reading(self, specific_force: Array, Omega: Array, R: Array, altitude_m: float) -> Reading:
         """Everything but GPS."""

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from bridge.faults import Faults
-from bridge.wire.telemetry import Home
+from bridge.wire.earth import Home
 from cablequad.attitude import Airframe
 from cablequad.noise import Biases, Noise
 from cablequad.state import State

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from bridge.fleet import Fleet
-from bridge.observe import Gate, Loop, Observer
+from bridge.gate import Gate
+from bridge.observe import Loop, Observer
 from bridge.profiles import PROFILES
 from bridge.thrust import ThrustScale, made_thrust_N
 from bridge.vehicle import Request, Stage

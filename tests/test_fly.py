@@ -17,7 +17,8 @@ from mcap.reader import make_reader
 from bridge.wire.dialect import mavlink
 from cablequad.rollout import Timing, rollout
 from cablequad.trajectory import at
-from logs.reader import entries, read
+from logs.reader import read
+from logs.records import entries
 from missions import scenario
 
 TARGET = np.array([0.44, 0.78, -0.5])

@@ -8,9 +8,10 @@ from conftest import flown, next_offset
 from pymavlink.dialects.v20 import common as mav
 
 from bridge.wire.dialect import mavlink
-from bridge.wire.telemetry import EARTH_RADIUS, Home
+from bridge.wire.earth import RADIUS_M, Home, altitude_m
 from cablequad import lie
-from logs.reader import entries, read
+from logs.reader import read
+from logs.records import entries
 from logs.schema import cablequad_pb2 as pb
 from missions import scenario as scenarios
 from missions.simulate import Serving, settings
@@ -30,7 +31,7 @@ def test_at_rest_instruments_read_gravity_the_field_and_the_air_with_noise_and_b
     assert many.std(axis=0) == pytest.approx(0.02, rel=0.2)
     assert np.abs(many.mean(axis=0) - [0, 0, -9.81]).max() < 0.08
     assert np.linalg.norm(i.field_gauss(turned)) == pytest.approx(0.4844, abs=0.004)
-    assert i.altitude_m(i.pressure_hPa(488.0)) == pytest.approx(488.0, abs=1.0)
+    assert altitude_m(i.pressure_hPa(488.0)) == pytest.approx(488.0, abs=1.0)
     assert (one(3).rate(STILL) == one(3).rate(STILL)).all()
     assert (one(3).rate(STILL) != one(4).rate(STILL)).any()
 
@@ -76,7 +77,7 @@ def test_what_a_vehicle_tells_of_its_instruments_is_noisy_late_and_biased_as_the
     wrong = [place - np.interp(when, t, x) for when, place in places]
     assert np.ptp(wrong) < 2e-3
     assert 0.001 < abs(np.mean(wrong)) < 0.2
-    north = np.array([(when, np.radians(lat * 1e-7 - Home().latitude_deg) * EARTH_RADIUS) for when, lat in fixes])
+    north = np.array([(when, np.radians(lat * 1e-7 - Home().latitude_deg) * RADIUS_M) for when, lat in fixes])
     moving = north[:, 0] > north[0, 0] + 3.0
     late = [
         np.std(n - np.interp(when - d, t, x))

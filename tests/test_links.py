@@ -16,7 +16,7 @@ from bridge.wire.frames import Signer, frame
 from bridge.wire.messages import encode
 from bridge.wire.values import Command as Asked
 from bridge.wire.values import Heartbeat
-from logs.reader import entries
+from logs.records import entries
 from logs.schema import cablequad_pb2 as pb
 from missions.keys import read_key
 

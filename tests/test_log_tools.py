@@ -22,7 +22,8 @@ from logs import figures, page, replay, video
 from logs.columns import columns
 from logs.inspect import check, info, lost
 from logs.motion import motion_of
-from logs.reader import LogError, Run, entries, missing_before, read
+from logs.reader import LogError, Run, missing_before, read
+from logs.records import entries
 from logs.schema import cablequad_pb2 as pb
 from missions.redecide import redecide
 

@@ -25,8 +25,9 @@ from cablequad.trajectory import Reference
 from logs import recorder as recorders
 from logs.encode import Model, Motion
 from logs.motion import motion_of
-from logs.reader import LogError, entries, is_complete, read
+from logs.reader import LogError, read
 from logs.recorder import Attachment, Frame, Recorder, RecorderError
+from logs.records import entries, is_complete
 from logs.schema import cablequad_pb2 as pb
 from logs.schema import generate
 from logs.serialize import LogWriter, serialized

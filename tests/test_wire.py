@@ -14,9 +14,10 @@ from hypothesis import strategies as st
 from bridge.link import Endpoint, Link, LinkError
 from bridge.wire import generate
 from bridge.wire.dialect import CABLE_STATE, mavlink
+from bridge.wire.earth import Home
 from bridge.wire.frames import Signer, Verdict, frame, packed
 from bridge.wire.messages import WireError, attitude_target, cable_frames, encode, param_bits, param_int, reread
-from bridge.wire.telemetry import BUILD, Home, Snapshot
+from bridge.wire.telemetry import BUILD, Snapshot
 from bridge.wire.values import (
     AttitudeTarget,
     CableShape,

@@ -5,8 +5,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bridge.wire.earth import Home
 from bridge.wire.messages import reread
-from bridge.wire.telemetry import Home, Snapshot
+from bridge.wire.telemetry import Snapshot
 from bridge.wire.values import IN_AIR, ON_GROUND, AttitudeTarget, Command, CommandAck, Heartbeat, StatusText
 from cablequad import lie
 from sitl.firmware.autopilot import Actuation, Autopilot, Body, LinkKind

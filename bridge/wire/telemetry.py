@@ -7,23 +7,14 @@ from typing import NamedTuple
 import numpy as np
 
 from bridge.wire.dialect import Message, mavlink
+from bridge.wire.earth import FIELD_GAUSS, Home, altitude_m, geodetic, pressure_hPa
 from bridge.wire.frames import Packed, pack, packed
 from bridge.wire.messages import encode, odometry
 from bridge.wire.values import LandedState, Origin, VehicleAttitude, VehiclePosition
 from cablequad import lie
 from cablequad.types import Array
 
-EARTH_RADIUS = 6378137.0  # m
 _NO_FIELD = 65535
-
-
-class Home(NamedTuple):
-    """Where local (0, 0, 0) lies, and when the vehicles' clock began."""
-
-    latitude_deg: float = 47.397742
-    longitude_deg: float = 8.545594
-    altitude_m: float = 488.0
-    epoch_s: int = 1_700_000_000
 
 
 ORIGIN = np.zeros(3)
@@ -67,10 +58,9 @@ def euler(R: Array) -> tuple[float, float, float]:
 
 
 def _geodetic(s: Snapshot, x: Array) -> tuple[int, int, int]:
-    """Latitude and longitude in 1e-7 deg, altitude in mm, of x (3,) m on a sphere around the origin."""
-    lat = s.home.latitude_deg + math.degrees(x[0] / EARTH_RADIUS)
-    lon = s.home.longitude_deg + math.degrees(x[1] / (EARTH_RADIUS * math.cos(math.radians(s.home.latitude_deg))))
-    return round(lat * 1e7), round(lon * 1e7), round((s.home.altitude_m - x[2]) * 1e3)
+    """Latitude and longitude in 1e-7 deg, altitude in mm."""
+    lat, lon, altitude = geodetic(s.home, x)
+    return round(lat * 1e7), round(lon * 1e7), round(altitude * 1e3)
 
 
 def _height(s: Snapshot) -> float:
@@ -105,11 +95,10 @@ def _global(s: Snapshot) -> Packed:
 
 def _imu(s: Snapshot) -> Packed:
     altitude = s.home.altitude_m - float(s.x[2])
-    hPa = 1013.25 * (1 - 2.25577e-5 * altitude) ** 5.25588
-    acceleration, rate, field = s.specific_force, s.Omega, s.R.T @ np.array([0.21, 0.01, 0.43])
+    acceleration, rate, field, hPa = s.specific_force, s.Omega, s.R.T @ FIELD_GAUSS, pressure_hPa(altitude)
     if s.imu is not None:
         acceleration, rate, field, hPa = s.imu
-        altitude = (1 - (hPa / 1013.25) ** (1 / 5.25588)) / 2.25577e-5
+        altitude = altitude_m(hPa)
     read = (*acceleration.tolist(), *rate.tolist(), *field.tolist(), hPa, 0.0, altitude, 25.0, 0x1BFF, 0)
     return pack(mavlink.MAVLink_highres_imu_message, s.boot_us, *read)
 

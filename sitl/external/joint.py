@@ -49,13 +49,14 @@ class External(NamedTuple):
     silent_s: float = 2.5  # wall clock without an answer; SITL asks again after one
 
 
-def frame_us(physics_us: int) -> int:
-    """The joint step: whole physics steps, that fit into PX4's 4 ms. Raises ValueError where none does."""
+def frame_us(physics_us: int, tick_us: int) -> int:
+    """The joint step: whole physics steps, that fit into PX4's 4 ms and into a tick. Raises ValueError if none does."""
     for steps in range(FRAME_US // physics_us, 0, -1):
-        if SENSOR_US % (steps * physics_us) == 0:
+        if SENSOR_US % (steps * physics_us) == 0 and tick_us % (steps * physics_us) == 0:
             return steps * physics_us
     raise ValueError(
-        f"physics.rate_hz: a step of {physics_us} us does not fit autopilots; 1000 Hz does, and no less than 800 Hz"
+        f"physics.rate_hz, control.rate_hz: steps of {physics_us} us in ticks of {tick_us} us do not fit autopilots; "
+        "1000 Hz (no less than 800) and 50, 100 or 250 Hz do"
     )
 
 
@@ -68,7 +69,7 @@ class JointServer:
         assert external is not None
         self.settings, self._external, self._sink = s, external, sink
         self.n = n = len(s.system.m)
-        self._frame_us = frame_us(s.physics_us)
+        self._frame_us = frame_us(s.physics_us, s.tick_us)
         self.plant = plant_of(s._replace(around=s.around._replace(driven=True)))
         self._sensors = sensors_of(s)
         self._batteries = Batteries(s.batteries, s.system.m * s.system.g)

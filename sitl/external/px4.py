@@ -15,10 +15,10 @@ import numpy as np
 
 from bridge.ports import Address, bind
 from bridge.wire.dialect import Message, mavlink
+from bridge.wire.earth import Home, altitude_m, geodetic
 from bridge.wire.frames import checksum, unpack
-from bridge.wire.telemetry import Home
 from cablequad import lie
-from sitl.external.seat import Own, SeatError, Tally, geodetic
+from sitl.external.seat import Own, SeatError, Tally
 from sitl.instruments import Fix, Instruments
 
 PX4_PORT = 4560  # and 1 more for each instance
@@ -189,7 +189,7 @@ class Px4Seat:
         if own.time_us % BARO_US == 0:
             fields |= BARO
             hPa = i.pressure_hPa(altitude)
-            altitude = i.altitude_m(hPa)
+            altitude = altitude_m(hPa)
         return mavlink.MAVLink_hil_sensor_message(
             own.time_us, *i.acceleration(own.specific_force).tolist(), *i.rate(own.Omega).tolist(), *mag, hPa, 0.0,
             altitude, i.temperature_C, fields, 0,

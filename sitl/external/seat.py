@@ -1,9 +1,7 @@
 """What the joint step needs of an autopilot, whichever protocol it speaks."""
 
-import math
 from typing import NamedTuple, Protocol
 
-from bridge.wire.telemetry import EARTH_RADIUS, Home
 from cablequad.types import Array
 
 
@@ -66,11 +64,3 @@ class Seat(Protocol):
 
     def close(self) -> None:
         """Release the sockets."""
-
-
-def geodetic(home: Home, x: Array) -> tuple[float, float, float]:
-    """Latitude and longitude (deg) and altitude (m) of x (3,) m, W, on a sphere around the origin."""
-    north, east, down = x.tolist()
-    lat = home.latitude_deg + math.degrees(north / EARTH_RADIUS)
-    lon = home.longitude_deg + math.degrees(east / (EARTH_RADIUS * math.cos(math.radians(home.latitude_deg))))
-    return lat, lon, home.altitude_m - down
