@@ -28,7 +28,7 @@ from logs.schema import cablequad_pb2 as pb
 from logs.serialize import LogWriter, serialized
 from missions import scenario as scenarios
 from missions.run import Options, Progress, run
-from missions.scribe import Scribe
+from missions.scribe import TOGETHER, Scribe
 
 WARM_S = 4.0  # of a flight's clock, before which nothing is measured
 
@@ -112,8 +112,11 @@ def libraries(log: Path) -> dict[str, float]:
         writer = LogWriter(io.BytesIO(), CHUNK_BYTES)
         writer.start()
         channel = writer.register_channel("/x", "protobuf", 0)
-        for k, row in enumerate(values):
-            writer.add_message(channel, k, serialized(pb.PlantState, row), k)
+        for k in range(0, len(values), TOGETHER):
+            together = values[k : k + TOGETHER]
+            columns = [(name, [row[f][1] for row in together]) for f, (name, _) in enumerate(together[0])]
+            rows = serialized(pb.PlantState, len(together), columns)
+            writer.add_messages([(channel, k + j, data) for j, data in enumerate(rows)], k)
 
     def by_library() -> None:
         writer = Writer(io.BytesIO(), chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)

@@ -20,7 +20,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from bridge import fly as fly_module
+from bridge import decide
 from bridge.fleet import Fleet
 from bridge.link import Link
 from bridge.observe import Observer
@@ -33,10 +33,10 @@ from missions import scenario as scenarios
 from missions import simulate
 from missions.run import Options, Progress, run
 from missions.scribe import Scribe
+from sitl import tracker
 from sitl.firmware.autopilot import Autopilot, Body, LinkKind
 from sitl.firmware.px4 import Px4
 from sitl.plant import Plant
-from sitl.server import Server
 
 R = lie.exp(np.array([0.1, -0.2, 0.3]))
 V = np.array([0.3, -0.1, 0.2])
@@ -126,7 +126,7 @@ BRIDGE = [
     (Link, "_split", "codec"),
     (Observer, "feed", "observe"),
     (Observer, "estimate", "observe"),
-    (fly_module, "tick", "control"),
+    (decide, "tick", "control"),
     (Fleet, "setpoints", "codec"),
     (Fleet, "due", "protocol"),
     (Fleet, "feed", "protocol"),
@@ -139,7 +139,7 @@ VEHICLES = [
     (Link, "poll", "socket and wait"), (Link, "flush", "socket"), (Link, "_split", "codec"), (Link, "send", "codec"),
     (Plant, "advance", "physics"), (Plant, "truth", "physics"), (Plant, "kinematics", "physics"),
     (Plant, "specific_force", "physics"), (Plant, "command", "physics"), (Autopilot, "outgoing", "codec"),
-    (Autopilot, "handle", "protocol"), (Server, "_track", "codec"),
+    (Autopilot, "handle", "protocol"), (tracker, "tell", "codec"),
     (simulate, "put", "record"),
 ]  # fmt: skip
 _real_child = simulate._child

@@ -187,3 +187,23 @@ def difference(known: State, true: State, n_links: Counts) -> Difference:
         rate[i] = np.sqrt(rate[i] / n_links[i])
     turned = lie.log(np.ascontiguousarray(true.R0.T) @ known.R0)
     return Difference(known.x0 - true.x0, known.v0 - true.v0, turned, known.Omega0 - true.Omega0, angle, rate)
+
+
+@jit
+def differences(known: State, true: State, n_links: Counts) -> Difference:
+    """`difference` of states with a row for every instant."""
+    K, n, L = known.q.shape[0], known.q.shape[1], known.q.shape[2]
+    none = (K, 3)
+    out = Difference(
+        np.empty(none), np.empty(none), np.empty(none), np.empty(none), np.empty((K, n, L)), np.empty((K, n))
+    )
+    for k in range(K):
+        d = difference(_instant(known, k), _instant(true, k), n_links)
+        out.position[k], out.velocity[k], out.attitude[k], out.rate[k] = d.position, d.velocity, d.attitude, d.rate
+        out.link_direction[k], out.link_rate[k] = d.link_direction, d.link_rate
+    return out
+
+
+@jit
+def _instant(rows: State, k: int) -> State:
+    return State(rows.x0[k], rows.v0[k], rows.R0[k], rows.Omega0[k], rows.q[k], rows.omega[k], rows.R[k], rows.Omega[k])

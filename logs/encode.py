@@ -56,46 +56,62 @@ def measured_motion(model: Model, sample: Sample, tension: Sequence[float], thru
     return Motion(sample.state, nodes[:, 0], np.zeros_like(nodes[:, 0]), spread, thrust)
 
 
-def plant(boot_us: int, held: bool, m: Motion) -> bytes:
-    """/plant/state."""
+def single(value: Any) -> Any:
+    """A value as one row: what `plants` and the others take, with every array and number a row of its own."""
+    if isinstance(value, tuple):
+        return type(value)(*(single(field) for field in value))
+    return np.asarray(value)[None]
+
+
+def row(value: Any, k: int) -> Any:
+    """Row k of a value with a row for every instant."""
+    return type(value)(*(row(field, k) if isinstance(field, tuple) else field[k] for field in value))
+
+
+def plants(boot_us: Sequence[int], held: Sequence[bool], m: Motion) -> list[bytes]:
+    """/plant/state, of as many instants as `m` has rows."""
     s = m.state
-    return serialized(pb.PlantState, (
-        ("sim_time_ns", boot_us * 1000), ("step", boot_us // 1000), ("held", held),
+    return serialized(pb.PlantState, len(boot_us), (
+        ("sim_time_ns", [us * 1000 for us in boot_us]), ("step", [us // 1000 for us in boot_us]), ("held", held),
         ("payload_position", s.x0), ("payload_velocity", s.v0),
-        ("payload_attitude", lie.quat_from_rotation(s.R0)), ("payload_rate", s.Omega0),
+        ("payload_attitude", _quats(s.R0)), ("payload_rate", s.Omega0),
         ("quad_position", m.x), ("quad_velocity", m.v), ("quad_attitude", _quats(s.R)), ("quad_rate", s.Omega),
         ("link_direction", _grid(s.q, 34)), ("link_rate", s.omega),
         ("tension", m.tension), ("thrust", m.thrust),
     ))  # fmt: skip
 
 
-def control(boot_us: int, sample: Sample, tension: Sequence[float], phase: str, age_s: float) -> bytes:
-    """/control/state."""
+def controls(
+    boot_us: Sequence[int], sample: Sample, tension: Any, phase: Sequence[str], age_s: Sequence[float]
+) -> list[bytes]:
+    """/control/state, of as many decisions as `sample` has rows."""
     s, e = sample.state, sample.error
-    return serialized(pb.ControlState, (
-        ("sim_time_ns", boot_us * 1000), ("t", sample.t), ("phase", phase),
-        ("e_x0", e.x[0:3]), ("e_v0", e.x_dot[0:3]), ("Psi_0", sample.Psi_0), ("e_Omega0", e.x_dot[3:6]),
-        ("Psi", sample.Psi), ("e_Omega", s.Omega),
-        ("e_q", sample.e_q), ("e_w", sample.e_omega), ("ideal_force", sample.A), ("thrust", sample.f),
+    return serialized(pb.ControlState, len(boot_us), (
+        ("sim_time_ns", [us * 1000 for us in boot_us]), ("t", _floats(sample.t)), ("phase", phase),
+        ("e_x0", e.x[:, 0:3]), ("e_v0", e.x_dot[:, 0:3]), ("Psi_0", _floats(sample.Psi_0)),
+        ("e_Omega0", e.x_dot[:, 3:6]), ("Psi", sample.Psi), ("e_Omega", s.Omega),
+        ("e_q", _floats(sample.e_q)), ("e_w", _floats(sample.e_omega)),
+        ("ideal_force", sample.A), ("thrust", sample.f),
         ("attitude", _quats(sample.R_c)), ("under_way", sample.memory.under_way), ("state_age", age_s),
         ("position", s.x0), ("velocity", s.v0), ("tension", tension),
-        ("payload_attitude", lie.quat_from_rotation(s.R0)),
+        ("payload_attitude", _quats(s.R0)),
         ("quad_attitude", _quats(s.R)), ("link_direction", s.q),
-        ("lasting", sample.memory.lasting), ("calm", sample.memory.calm[0]),
+        ("lasting", sample.memory.lasting), ("calm", _floats(sample.memory.calm[:, 0])),
     ))  # fmt: skip
 
 
-def estimate(boot_us: int, off: Difference) -> bytes:
-    """/control/estimate."""
-    return serialized(pb.EstimateError, (("sim_time_ns", boot_us * 1000), *zip(off._fields, off, strict=True)))
+def estimates(boot_us: Sequence[int], off: Difference) -> list[bytes]:
+    """/control/estimate, of as many instants as `off` has rows."""
+    times = ("sim_time_ns", [us * 1000 for us in boot_us])
+    return serialized(pb.EstimateError, len(boot_us), (times, *zip(off._fields, off, strict=True)))
 
 
-def reference(boot_us: int, sample: Sample) -> bytes:
-    """/control/reference."""
+def references(boot_us: Sequence[int], sample: Sample) -> list[bytes]:
+    """/control/reference, of as many decisions as `sample` has rows."""
     r = sample.reference
-    return serialized(pb.ControlReference, (
-        ("sim_time_ns", boot_us * 1000), ("payload_position", r.x0), ("payload_velocity", r.v0),
-        ("payload_attitude", lie.quat_from_rotation(sample.R_0d)), ("link_direction", sample.q_d),
+    return serialized(pb.ControlReference, len(boot_us), (
+        ("sim_time_ns", [us * 1000 for us in boot_us]), ("payload_position", r.x0), ("payload_velocity", r.v0),
+        ("payload_attitude", _quats(sample.R_0d)), ("link_direction", sample.q_d),
         ("payload_acceleration", r.a0), ("yaw", r.yaw),
     ))  # fmt: skip
 
@@ -159,7 +175,11 @@ def _drawn(a: Array) -> Array:
 
 
 def _quats(R: Array) -> Array:
-    return lie.quats_from_rotations(np.ascontiguousarray(R))
+    return lie.quats_from_rotations(np.ascontiguousarray(R).reshape(-1, 3, 3)).reshape(*R.shape[:-2], 4)
+
+
+def _floats(column: Any) -> list[float]:
+    return column.tolist()
 
 
 def _stamp(ns: int) -> Timestamp:

@@ -4,7 +4,7 @@ The layout comes from the generated module, and the tests hold every byte agains
 """
 
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from typing import IO, Any, NamedTuple
 
@@ -13,7 +13,7 @@ from google.protobuf.descriptor import FieldDescriptor
 from mcap._chunk_builder import ChunkBuilder
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import Message, MessageIndex, Statistics
+from mcap.records import MessageIndex, Statistics
 from mcap.writer import CompressionType, Writer
 
 _KEPT = np.int64(-1 << 16)  # of a double's bits in arrays: to 1.5e-11 of it, which takes a fifth less room
@@ -31,9 +31,6 @@ def varint(value: int) -> bytes:
         value >>= 7
     out.append(value)
     return bytes(out)
-
-
-_varint = cache(varint)
 
 
 @cache
@@ -84,48 +81,67 @@ def _fields(kind: Any) -> dict[str, _Field]:
     return out
 
 
-def serialized(kind: Any, values: Sequence[tuple[str, Any]]) -> bytes:
-    """A message of the generated class `kind` as bytes; `values` are its fields by name, in the order of their numbers.
+def serialized(kind: Any, rows: int, values: Sequence[tuple[str, Any]]) -> list[bytes]:
+    """`rows` messages of the generated class `kind` as bytes; `values` are its fields by name, in their numbers' order.
 
-    Arrays of any shape go into repeated fields, row by row. Raises KeyError for a field that there is not.
+    A repeated field takes an array with a row for every message, of any shape; another a sequence with a value for
+    each. Raises KeyError for a field that there is not.
     """
     fields = _fields(kind)
-    arrays = [np.asarray(value, float).ravel() for name, value in values if fields[name].array is not None]
-    flat = np.concatenate(arrays) if arrays else np.empty(0)
-    doubles = (flat.view(np.int64) & _KEPT).tobytes()  # all at once: a call for each field would cost more than it does
-    floats = flat.astype(np.float32).tobytes()
-    parts = []
-    at, sizes = 0, iter(arrays)
+    columns: list[Sequence[bytes]] = []  # of what follows each other in a message, one piece for each row
+    run: list[tuple[_Field, Any]] = []
     for name, value in values:
         field = fields[name]
-        if field.array is None:
-            parts.append(field.write(value))
+        if field.array is not None:
+            run.append((field, value))
             continue
-        end = at + len(next(sizes))
-        if end > at:
-            data = floats[4 * at : 4 * end] if field.array is np.float32 else doubles[8 * at : 8 * end]
-            parts.append(_head(field.tag, len(data)))
-            parts.append(data)
-        at = end
-    return b"".join(parts)
+        columns += _arrays(rows, run)
+        columns.append([field.write(v) for v in value])
+        run = []
+    columns += _arrays(rows, run)
+    return [b"".join(pieces) for pieces in zip(*columns, strict=True)]
+
+
+def _arrays(rows: int, run: Sequence[tuple[_Field, Any]]) -> list[list[bytes]]:
+    """Repeated fields that follow each other, as one piece for each row: a table of bytes, filled field by field."""
+    parts, at = [], 0
+    for field, value in run:
+        a = np.ascontiguousarray(value, field.array).reshape(rows, -1)
+        if a.size == 0:
+            continue
+        data = a.view(np.uint8) if field.array is np.float32 else (a.view(np.int64) & _KEPT).view(np.uint8)
+        head = _head(field.tag, data.shape[1])
+        parts.append((at, head, data))
+        at += len(head) + data.shape[1]
+    if not parts:
+        return []
+    table = np.empty((rows, at), np.uint8)
+    for start, head, data in parts:
+        middle = start + len(head)
+        table[:, start:middle] = np.frombuffer(head, np.uint8)
+        table[:, middle : middle + data.shape[1]] = data
+    flat = table.tobytes()
+    return [[flat[k * at : (k + 1) * at] for k in range(rows)]]
 
 
 @cache
-def frame_middle(msgid: int, system: int, component: int) -> bytes:
-    """Fields 2 to 4 of a MavlinkFrame, the same for a whole flight."""
+def _frame_tail(msgid: int, system: int, component: int, name: str) -> tuple[bytes, bytes]:
+    """What stands around the sequence number behind a MavlinkFrame's bytes; the same for a whole flight."""
     numbers = ((2, msgid), (3, system), (4, component))
-    return b"".join(_number(k << 3)(value) for k, value in numbers)
+    return b"".join(_number(k << 3)(value) for k, value in numbers), _text(6 << 3 | 2)(name)
 
 
-@cache
-def _frame_name(name: str) -> bytes:
-    return _text(6 << 3 | 2)(name)
+_SEQ = [b"", *(b"\x28" + varint(seq) for seq in range(1, 256))]
 
 
-def mavlink_frame(frame: bytes, msgid: int, system: int, component: int, seq: int, name: str) -> bytes:
-    """A MavlinkFrame as bytes."""
-    last = b"\x28" + _varint(seq) if seq else b""
-    return _head(10, len(frame)) + frame + frame_middle(msgid, system, component) + last + _frame_name(name)
+def mavlink_frame(frame: bytes, names: Mapping[int, str]) -> bytes:
+    """A MavlinkFrame as bytes, of a frame of either protocol version; `names` are those of messages by their id."""
+    if frame[0] == 0xFD:
+        msgid, seq, system, component = frame[7] | frame[8] << 8 | frame[9] << 16, frame[4], frame[5], frame[6]
+    else:
+        msgid, seq, system, component = frame[5], frame[2], frame[3], frame[4]
+    before, after = _frame_tail(msgid, system, component, names.get(msgid, ""))
+    return b"".join((_head(10, len(frame)), frame, before, _SEQ[seq], after))
 
 
 class _Index(MessageIndex):
@@ -138,26 +154,25 @@ class _Index(MessageIndex):
 
 
 class Chunks(ChunkBuilder):
-    """The library's chunk builder with its one hot call written out: the same bytes, a quarter of the time."""
+    """The library's chunk builder that also takes many messages at once: the same bytes, in a sixth of the time."""
 
-    def add_message(self, message: Message) -> None:
-        """Put a message behind those that are there."""
-        self.add(message.channel_id, message.log_time, message.data, message.publish_time, message.sequence)
-
-    def add(self, channel: int, log_time: int, data: bytes, publish_time: int, sequence: int) -> None:
-        """The same without an object for the message."""
-        stream = self.record_writer._buffer
-        if self.num_messages == 0 or log_time < self.message_start_time:
-            self.message_start_time = log_time
-        if log_time > self.message_end_time:
-            self.message_end_time = log_time
-        index = self.message_indices.get(channel)
-        if index is None:
-            index = self.message_indices[channel] = _Index(channel_id=channel, records=[])
-        index.records.append((log_time, stream.tell()))
-        self.num_messages += 1
-        stream.write(_RECORD(Opcode.MESSAGE, 22 + len(data), channel, sequence, log_time, publish_time))
-        stream.write(data)
+    def add_all(self, messages: Sequence[tuple[int, int, bytes]], publish_time: int) -> None:
+        """Put messages (channel, log time, data) behind those that are there."""
+        indices, stream = self.message_indices, self.record_writer._buffer
+        at, parts = stream.tell(), []
+        for channel, log_time, data in messages:
+            index = indices.get(channel)
+            if index is None:
+                index = indices[channel] = _Index(channel_id=channel, records=[])
+            index.records.append((log_time, at))
+            parts.append(_RECORD(Opcode.MESSAGE, 22 + len(data), channel, 0, log_time, publish_time))
+            parts.append(data)
+            at += 31 + len(data)
+        stream.write(b"".join(parts))
+        times = [log_time for _, log_time, _ in messages]
+        self.message_start_time = min(times) if self.num_messages == 0 else min(self.message_start_time, *times)
+        self.message_end_time = max(self.message_end_time, *times)
+        self.num_messages += len(messages)
 
 
 class LogWriter(Writer):
@@ -171,16 +186,30 @@ class LogWriter(Writer):
         self._Writer__chunk_builder = Chunks()
         self._most = chunk_size
 
-    def add_message(self, channel_id: int, log_time: int, data: bytes, publish_time: int, sequence: int = 0) -> None:
-        """As the library's, which makes an object of every message; what closes a chunk stays the library's."""
+    def add_messages(self, messages: Sequence[tuple[int, int, bytes]], publish_time: int) -> None:
+        """As the library's `add_message` of every (channel, log time, data), which makes an object of each.
+
+        What closes a chunk stays the library's.
+        """
         s, chunks = self._Writer__statistics, self._Writer__chunk_builder
-        if chunks.record_writer._buffer.tell() + len(data) + 31 >= self._most:
-            super().add_message(channel_id, log_time, data, publish_time, sequence)
-            return
-        if s.message_count == 0 or log_time < s.message_start_time:
-            s.message_start_time = log_time
-        if log_time > s.message_end_time:
-            s.message_end_time = log_time
-        s.channel_message_counts[channel_id] += 1
-        s.message_count += 1
-        chunks.add(channel_id, log_time, data, publish_time, sequence)
+        room = self._most - chunks.record_writer._buffer.tell()
+        waiting: list[tuple[int, int, bytes]] = []
+        for message in messages:
+            channel, log_time, data = message
+            room -= 31 + len(data)
+            if room <= 0:
+                if waiting:
+                    chunks.add_all(waiting, publish_time)
+                    waiting = []
+                self.add_message(channel, log_time, data, publish_time)
+                room = self._most - chunks.record_writer._buffer.tell()
+                continue
+            if s.message_count == 0 or log_time < s.message_start_time:
+                s.message_start_time = log_time
+            if log_time > s.message_end_time:
+                s.message_end_time = log_time
+            s.channel_message_counts[channel] += 1
+            s.message_count += 1
+            waiting.append(message)
+        if waiting:
+            chunks.add_all(waiting, publish_time)

@@ -3,7 +3,7 @@
 import math
 import pickle
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from cablequad.pilot import Memory, Sample
 from cablequad.state import Error, State
 from cablequad.trajectory import Reference
 from cablequad.types import Array
+from logs.encode import Motion
 from sitl.plant import Truth
 from sitl.settings import Event, Report
 
@@ -38,6 +39,14 @@ Status = Report | Ready | Failure
 Shapes = tuple[tuple[int, ...], ...]
 
 
+class Told(NamedTuple):
+    """The simulator's state at one instant, as it comes by its pipe."""
+
+    boot_us: int
+    held: bool
+    values: bytes
+
+
 def put(channel: Sender, messages: Sequence[Message]) -> None:
     """Write what was said, in its order."""
     parts: list[Event | tuple[int, bool, bytes]] = []
@@ -50,22 +59,20 @@ def put(channel: Sender, messages: Sequence[Message]) -> None:
     channel.send_bytes(pickle.dumps(parts, 5))
 
 
-def take(data: bytes, n: int, L: int) -> list[Message]:
-    """The messages in `data`, for a system of n vehicles and L links."""
+def take(data: bytes) -> list[Told | Event]:
+    """What was said, in its order."""
+    return [part if isinstance(part, Event) else Told(*part) for part in pickle.loads(data)]
+
+
+def take_motions(told: Sequence[Told], n: int, L: int) -> Motion:
+    """The motions of n vehicles and L links, with a row for each of `told`."""
     shapes = ((3,), (3,), (3, 3), (3,), (n, L, 3), (n, L, 3), (n, 3, 3), (n, 3), (n, 3), (n, 3), (n, L), (n,))
-    out: list[Message] = []
-    for part in pickle.loads(data):
-        if isinstance(part, Event):
-            out.append(part)
-        else:
-            boot_us, held, values = part
-            fields = _split(np.frombuffer(values), shapes)
-            out.append(Truth(boot_us, held, State(*fields[:8]), *fields[8:]))
-    return out
+    fields = _split([t.values for t in told], shapes)
+    return Motion(State(*fields[:8]), *fields[8:])
 
 
 def put_sample(sample: Sample) -> bytes:
-    """A decision as bytes; with its `sample_shapes`, `take_sample` reads them."""
+    """A decision as bytes; with its `sample_shapes`, `take_samples` reads them."""
     numbers = np.array((sample.t, sample.Psi_0, sample.e_q, sample.e_omega))
     return np.concatenate([numbers, *[array.ravel() for array in _arrays(sample)]]).tobytes()
 
@@ -75,24 +82,26 @@ def sample_shapes(sample: Sample) -> Shapes:
     return ((4,), *(array.shape for array in _arrays(sample)))
 
 
-def take_sample(data: bytes, shapes: Shapes) -> Sample:
-    """The decision in `data`."""
-    numbers, *a = _split(np.frombuffer(data), shapes)
-    t, Psi_0, e_q, e_omega = numbers.tolist()
+def take_samples(rows: Sequence[bytes], shapes: Shapes) -> Sample:
+    """The decisions in `rows`, with a row for each."""
+    numbers, *a = _split(rows, shapes)
+    t, Psi_0, e_q, e_omega = numbers.T
     state, reference, memory, error = State(*a[:8]), Reference(*a[8:14]), Memory(*a[14:19]), Error(*a[19:21])
     A, R_c, f, Psi, R_0d, q_d = a[21:]
-    return Sample(t, state, reference, memory, error, A, R_c, f, Psi_0, Psi, e_q, e_omega, R_0d, q_d)
+    told: Any = (t, state, reference, memory, error, A, R_c, f, Psi_0, Psi, e_q, e_omega, R_0d, q_d)
+    return Sample(*told)
 
 
 def _arrays(s: Sample) -> tuple[Array, ...]:
     return (*s.state, *s.reference, *s.memory, *s.error, s.A, s.R_c, s.f, s.Psi, s.R_0d, s.q_d)
 
 
-def _split(flat: Array, shapes: Sequence[tuple[int, ...]]) -> list[Array]:
-    """Views of consecutive pieces of `flat`, one of each shape."""
+def _split(rows: Sequence[bytes], shapes: Sequence[tuple[int, ...]]) -> list[Array]:
+    """Views of consecutive pieces of every row, one of each shape."""
+    table = np.frombuffer(bytearray(b"").join(rows)).reshape(len(rows), -1)
     parts, at = [], 0
     for shape in shapes:
         size = math.prod(shape)
-        parts.append(flat[at : at + size].reshape(shape))
+        parts.append(table[:, at : at + size].reshape(len(rows), *shape))
         at += size
     return parts

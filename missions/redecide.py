@@ -93,7 +93,7 @@ def _follow(path: Path, flight: Flight, design: Design) -> list[bytes]:
                 memory, sample = tick(memory, measured, at(flight.trajectory, told.t), design)
                 observer.commanded(boot_ms, sample.R_c, sample.f)
                 tension, age_s = instant.tension.tolist(), instant.age_ms * 1e-3
-                after.append(encode.control(boot_ms * 1000, sample, tension, told.phase, age_s))
+                after += encode.controls([boot_ms * 1000], encode.single(sample), [tension], [told.phase], [age_s])
     return after
 
 
@@ -120,7 +120,9 @@ def _follow_mission(path: Path, flight: Flight, design: Design) -> list[bytes]:
                 fleet.observed(boot_ms * 1e-3, decided.gaps_m)
                 fleet.due(boot_ms * 1e-3)
                 sample, age_s = decided.sample, instant.age_ms * 1e-3
-                after.append(encode.control(boot_ms * 1000, sample, decided.tension, decider.phase, age_s))
+                after += encode.controls(
+                    [boot_ms * 1000], encode.single(sample), [decided.tension], [decider.phase], [age_s]
+                )
     mission.close()
     return after
 

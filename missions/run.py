@@ -228,7 +228,7 @@ def _starts(flight: Flight, options: Options) -> list[Launch]:
 
 
 def _track(flight: Flight) -> Track:
-    return Track(flight.system, tuple(flight.scenario.target.position_m))
+    return Track(tuple(flight.scenario.target.position_m))
 
 
 def _wire(link: Link, simulator: Simulator | None, tallies: list[Tally], unread: int) -> dict[str, int]:

@@ -25,13 +25,12 @@ from bridge.link import Received, Sent
 from bridge.phases import CARRIED
 from bridge.wire.dialect import mavlink
 from cablequad.pilot import Sample
-from cablequad.state import State, difference, positions
+from cablequad.state import Difference, State, differences, positions
 from logs import encode
 from logs.encode import Model, Motion
-from logs.recorder import FLUSH_S, Attachment, Frame, Recorder, RecorderError
-from missions.channel import Shapes, put_sample, sample_shapes, take, take_sample
+from logs.recorder import FLUSH_S, Attachment, Decisions, Message, Recorder, RecorderError
+from missions.channel import Shapes, Told, put_sample, sample_shapes, take, take_motions, take_samples
 from missions.tracking import Followed, Following, Grounded, OnGround, Standing
-from sitl.plant import Truth
 from sitl.settings import Event
 
 PIPE_BYTES = 1 << 20  # what may wait for the scribe before the control loop does
@@ -206,36 +205,27 @@ class _Ledger:
         self._shape = model.system.length.shape
         self._n_links = model.system.n_links
         self._truth: Connection | None = truth
-        self._told: deque[Truth | Event] = deque()
+        self._told: deque[Told | Event] = deque()
         self._answered_us = 0
         self._ended = False
         self._slack: set[int] = set()
-        self._names = {number: kind.msgname for number, kind in mavlink.mavlink_map.items()}
         self._shapes: Shapes = ()
         self._smallest_N = math.inf
         self._following = Following(target_m)
-        self._newest: Truth | None = None
+        self._recent: list[tuple[list[int], State]] = []  # the truth that was written last
         self._ground = None if standing is None else OnGround(standing)
 
-    def take(self, entry: tuple) -> None:
-        """Write one entry of the bridge."""
-        kind, boot_us, *rest = entry
-        match kind:
-            case "rx":
-                self._recorder.frames(boot_us, "rx", [self._frame(system, whole) for system, whole in rest[0]])
-            case "tx":
-                self._recorder.frames(boot_us, "tx", [self._frame(system, whole) for system, whole in rest[0]])
-            case "decided":
-                self._read_truth(boot_us)
-                self._tell_truth(boot_us)
-                self._decided(boot_us, take_sample(rest[0], self._shapes), *rest[1:])
-            case "shapes":
+    def take(self, batch: Sequence[tuple]) -> None:
+        """Write entries of the bridge, in their order: what was decided is made many at a time."""
+        begun = 0
+        for k, (kind, _, *rest) in enumerate(batch):
+            if kind == "shapes":
                 self._shapes = rest[0]
-            case "event":
-                self._recorder.event(boot_us, *rest)
-                self._ended = self._ended or rest[0] == "end"
-            case "perf":
-                self._recorder.perf(boot_us, *rest)
+            elif kind == "event" and rest[0] == "end" and not self._ended:
+                self._write(batch[begun:k])
+                begun, self._ended = k, True
+        self._write(batch[begun:])
+        self._recorder.settle()
 
     @property
     def judged(self) -> Judged:
@@ -244,12 +234,48 @@ class _Ledger:
             self._smallest_N, self._following.followed(), None if self._ground is None else self._ground.judged()
         )
 
-    def _decided(self, boot_us: int, sample: Sample, tension: list[float], phase: str, age_s: float) -> None:
-        true = self._newest.state if self._newest is not None and self._newest.boot_us == boot_us else None
-        off = None if true is None else difference(sample.state, true, self._n_links)
-        if phase in CARRIED and not self._ended and true is not None:
-            self._following.take(sample, true, off, self._used)
-        self._recorder.decided(boot_us, sample, tension, phase, age_s, off)
+    def _write(self, batch: Sequence[tuple]) -> None:
+        decided = iter(self._decisions([entry[1:] for entry in batch if entry[0] == "decided"]))
+        for kind, boot_us, *rest in batch:
+            match kind:
+                case "rx" | "tx":
+                    self._recorder.frames(boot_us, kind, rest[0])
+                case "decided":
+                    self._recorder.write(boot_us, next(decided))
+                case "event":
+                    self._recorder.event(boot_us, *rest)
+                case "perf":
+                    turnaround_s, ticks = rest
+                    self._recorder.perf(boot_us, turnaround_s, ticks, len(self._told))
+
+    def _decisions(self, entries: Sequence[tuple]) -> list[list[Message]]:
+        """What is to be written of decisions; the truth until the last of them is written."""
+        if not entries:
+            return []
+        boot_us, samples, tension, phase, age_s = (list(column) for column in zip(*entries, strict=True))
+        self._read_truth(boot_us[-1])
+        self._tell_truth(boot_us[-1])
+        d = Decisions(boot_us, take_samples(samples, self._shapes), tension, phase, age_s)
+        row = {us: k for k, us in enumerate(us for times, _ in self._recent for us in times)}
+        known = [k for k, us in enumerate(boot_us) if us in row]
+        if not known:
+            return self._recorder.decided(d)
+        was = [row[boot_us[k]] for k in known]
+        true = State(*(np.concatenate(field)[was] for field in zip(*(s for _, s in self._recent), strict=True)))
+        off = differences(State(*(field[known] for field in d.sample.state)), true, self._n_links)
+        self._follow(d, known, true, off)
+        return self._recorder.decided(d, off, known)
+
+    def _follow(self, d: Decisions, known: list[int], true: State, off: Difference) -> None:
+        """How well the load follows, by those decisions whose true state is known."""
+        flown = [j for j, k in enumerate(known) if d.phase[k] in CARRIED and not self._ended]
+        if not flown:
+            return
+        t, wanted = d.sample.t.tolist(), d.sample.reference.x0.tolist()  # type: ignore[attr-defined]
+        x, v = true.x0.tolist(), true.v0.tolist()
+        for j in flown:
+            self._following.take(t[known[j]], x[j], v[j], wanted[known[j]])
+        self._following.judge(off.link_direction[flown][:, self._used], off.attitude[flown])
 
     def sources(self, down: Connection) -> list[Connection]:
         """What may have something to say."""
@@ -264,12 +290,7 @@ class _Ledger:
         """Read to the end of what the simulator said."""
         self._read_truth(2**62)
         self._tell_truth(self._answered_us if whole else 2**62)
-
-    def _frame(self, other: int, whole: bytes) -> Frame:
-        if whole[0] == 0xFD:
-            msgid = whole[7] | whole[8] << 8 | whole[9] << 16
-            return Frame(other, whole, msgid, whole[5], whole[6], whole[4], self._names[msgid])
-        return Frame(other, whole, whole[5], whole[3], whole[4], whole[2], self._names[whole[5]])
+        self._recorder.settle()
 
     def _read_truth(self, until_us: int) -> None:
         """Take what the simulator says until it has spoken of `until_us`, or has no more to say."""
@@ -281,29 +302,40 @@ class _Ledger:
     def _take_truth(self) -> None:
         assert self._truth is not None
         try:
-            self._told += take(self._truth.recv_bytes(), *self._shape)
+            self._told += take(self._truth.recv_bytes())
         except (EOFError, OSError):
             self._truth = None
 
     def _tell_truth(self, answered_us: int) -> None:
         self._answered_us = answered_us
+        self._recent = []
+        states: list[Told] = []
         while self._told and self._told[0].boot_us <= answered_us:
             message = self._told.popleft()
-            if isinstance(message, Truth):
-                self._write_truth(message)
+            if isinstance(message, Told):
+                states.append(message)
             else:
-                self._recorder.plant_event(message.boot_us, f"sitl-{message.kind}", message.subject, message.text)
+                self._write_truth(states)
+                states = []
+                self._recorder.event(message.boot_us, f"sitl-{message.kind}", message.subject, message.text, "/plant")
+        self._write_truth(states)
 
-    def _write_truth(self, truth: Truth) -> None:
-        self._newest = truth
-        motion = Motion(truth.state, truth.x, truth.v, truth.tension, truth.thrust)
-        self._recorder.truth(truth.boot_us, truth.held, motion)
+    def _write_truth(self, told: Sequence[Told]) -> None:
+        if not told:
+            return
+        times, held = [t.boot_us for t in told], [t.held for t in told]
+        motion = take_motions(told, *self._shape)
+        self._recent.append((times, motion.state))
+        self._recorder.truths(times, held, motion)
         if self._ground is not None:
-            self._ground.take(truth.state, truth.x, truth.v, truth.tension[self._used])
-        if not truth.held and not self._ended:
-            tension = np.where(self._used, truth.tension, np.inf)
-            self._smallest_N = min(self._smallest_N, float(tension.min()))
-            self._tell_slack(truth.boot_us, tension)
+            self._ground.take(motion, self._used)
+        flown = [k for k, still in enumerate(held) if not still and not self._ended]
+        if flown:
+            pull = np.where(self._used, motion.tension[flown], np.inf)
+            self._smallest_N = min(self._smallest_N, float(pull.min()))
+            if self._slack or bool((pull < 0).any()):
+                for k, tension in zip(flown, pull, strict=True):
+                    self._tell_slack(times[k], tension)
 
     def _tell_slack(self, boot_us: int, tension: np.ndarray) -> None:
         """An event when a link of a cable begins to push, that is, the cable is slack, and when it pulls again."""
@@ -312,22 +344,22 @@ class _Ledger:
             if pushes and i not in self._slack:
                 self._slack.add(i)
                 text = f"link {link + 1} pushes with {-tension[i, link]:.2f} N: the cable is slack"
-                self._recorder.plant_event(boot_us, "slack", f"cable {i + 1}", text)
+                self._recorder.event(boot_us, "slack", f"cable {i + 1}", text, "/plant")
             elif tension[i, link] > TAUT_N and i in self._slack:
                 self._slack.discard(i)
-                self._recorder.plant_event(boot_us, "taut", f"cable {i + 1}", "every link pulls again")
+                self._recorder.event(boot_us, "taut", f"cable {i + 1}", "every link pulls again", "/plant")
 
 
 def _encode_once(model: Model) -> None:
     """Compile what encoding calls before anybody waits for it."""
     n, L = model.system.length.shape
-    told = (np.frombuffer(a.tobytes()).reshape(a.shape) for a in State.hanging(model.system))
-    hanging, still = State(*told), np.zeros((n, 3))  # read-only, as what comes by the pipes is: code is compiled for it
+    hanging, still = State.hanging(model.system), np.zeros((n, 3))
     motion = Motion(hanging, still, still, np.zeros((n, L)), np.zeros(n))
-    encode.plant(0, True, motion)
+    row = encode.single(motion)
+    encode.plants([0], [True], row)
     encode.transforms(model, motion, 0, True)
     positions(model.system, hanging)
-    difference(hanging, hanging, model.system.n_links)
+    differences(row.state, row.state, model.system.n_links)
 
 
 def _child(opening: Opening, down: Connection, up: Connection, truth: Connection) -> None:
@@ -335,10 +367,11 @@ def _child(opening: Opening, down: Connection, up: Connection, truth: Connection
         signal.signal(number, signal.SIG_IGN)  # the bridge's end of the pipe decides
     with contextlib.suppress(OSError):
         os.nice(10)  # the flight goes first
+    names = {number: kind.msgname for number, kind in mavlink.mavlink_map.items()}
     try:
         recorder = Recorder(
             opening.path, opening.model, opening.metadata, opening.attachments, opening.epoch_ns, opening.with_truth,
-            threaded=False,
+            names,
         )  # fmt: skip
     except RecorderError as error:
         up.send(str(error))
@@ -352,24 +385,23 @@ def _child(opening: Opening, down: Connection, up: Connection, truth: Connection
             ready = wait(ledger.sources(down), FLUSH_S)
             ledger.listen(ready)
             if down not in ready:
-                recorder.idle()
+                recorder.settle()
                 continue
             batch = pickle.loads(down.recv_bytes())
         except (EOFError, OSError):
             ledger.end_truth(False)
             recorder.finish()
             return
-        for entry in batch:
-            if entry[0] == "truth ends":
-                ledger.end_truth(entry[2])
-                up.send(ledger.judged)
-            elif entry[0] == "finish":
-                recorder.metadata("result", entry[2])
-                path = recorder.finish()
-                up.send(Closing(str(path), recorder.error))
-                return
-            else:
-                ledger.take(entry)
+        last = batch[-1] if batch[-1][0] in ("truth ends", "finish") else None  # nothing follows these
+        ledger.take(batch if last is None else batch[:-1])
+        if last is not None and last[0] == "truth ends":
+            ledger.end_truth(last[2])
+            up.send(ledger.judged)
+        elif last is not None:
+            recorder.metadata("result", last[2])
+            path = recorder.finish()
+            up.send(Closing(str(path), recorder.error))
+            return
         if recorder.error is not None and not told_error:
             told_error = True
             up.send(recorder.error)

@@ -8,7 +8,6 @@ import numpy as np
 
 from bridge.fly import Outcome, Timing
 from cablequad.pilot import Sample
-from cablequad.system import System
 from missions.tables import AcceptanceTable
 from missions.tracking import Followed, Following, Grounded
 
@@ -16,10 +15,9 @@ from missions.tracking import Followed, Following, Grounded
 class Track:
     """Figures that accumulate while flying; only what happens between release and end counts."""
 
-    def __init__(self, system: System, target: tuple[float, ...]) -> None:
+    def __init__(self, target: tuple[float, ...]) -> None:
         self.last: Sample | None = None
         self.following = Following(target)
-        self._used = np.arange(system.length.shape[1])[None, :] < system.n_links[:, None]
         self.max_psi = 0.0
         self.max_thrust_N = 0.0
         self.min_tension_N = np.inf
@@ -29,7 +27,8 @@ class Track:
         self.last = sample
         self.max_psi = max(self.max_psi, float(sample.Psi.max()))
         self.max_thrust_N = max(self.max_thrust_N, float(sample.f.max()))
-        self.following.take(sample, None, None, self._used)
+        s, wanted = sample.state, sample.reference.x0
+        self.following.take(sample.t, s.x0.tolist(), s.v0.tolist(), wanted.tolist())
 
     def tension(self, smallest_N: float) -> None:
         """Take the smallest tension of one instant."""

@@ -2,13 +2,12 @@
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from bridge.guards import separation
-from cablequad.pilot import Sample
-from cablequad.state import Difference, State
+from logs.encode import Motion
 
 SETTLED_M = 0.05
 LAST_S = 10.0  # of the mean
@@ -30,7 +29,7 @@ class Followed(NamedTuple):
 
 
 class Following:
-    """Takes every decision of a flight with the state that was true when it was made."""
+    """Takes every decision of a flight: by the state that was true when it was made, or the measured one."""
 
     def __init__(self, target: tuple[float, ...]) -> None:
         self._target = target
@@ -43,27 +42,27 @@ class Following:
         self._links = self._attitude = 0.0
         self._judged = 0
 
-    def take(self, sample: Sample, true: State | None, off: Difference | None, used: np.ndarray) -> None:
-        """`used` (n, L) says which links there are. Without truth the state that was measured stands for it."""
-        s = sample.state if true is None else true
-        error = math.dist(s.x0.tolist(), sample.reference.x0.tolist())
+    def take(self, t: float, x: Sequence[float], v: Sequence[float], wanted: Sequence[float]) -> None:
+        """Where the load was at `t`, how it moved and where it was to be; x, v, wanted (3,) m, m/s."""
+        error = math.dist(x, wanted)
         self._count += 1
         self._squares += error * error
         self._largest = max(self._largest, error)
         self._sum += error
-        self._last.append((sample.t, error))
-        while self._last[0][0] < sample.t - LAST_S:
+        self._last.append((t, error))
+        while self._last[0][0] < t - LAST_S:
             self._sum -= self._last.popleft()[1]
-        self._final, self._speed = error, math.hypot(*s.v0.tolist())
-        if math.dist(s.x0.tolist(), self._target) > SETTLED_M:
+        self._final, self._speed = error, math.hypot(*v)
+        if math.dist(x, self._target) > SETTLED_M:
             self._settled = None
         elif self._settled is None:
-            self._settled = sample.t
-        if off is not None:
-            self._judged += 1
-            angles = off.link_direction[used]
-            self._links += float(angles @ angles) / len(angles)
-            self._attitude += float(off.attitude @ off.attitude)
+            self._settled = t
+
+    def judge(self, link_direction: np.ndarray, attitude: np.ndarray) -> None:
+        """How far k decisions' states were off the true ones: angles (k, links) rad, rotation vectors (k, 3) rad."""
+        self._judged += len(attitude)
+        self._links += float((link_direction**2).sum()) / link_direction.shape[1]
+        self._attitude += float((attitude**2).sum())
 
     def followed(self) -> Followed | None:
         """The figures so far; None where nothing was flown."""
@@ -107,24 +106,21 @@ class OnGround:
         self._separation = math.inf
         self._last = (0.0, 0.0, 0.0)
 
-    def take(self, s: State, x: np.ndarray, v: np.ndarray, tension: np.ndarray) -> None:
-        """The state, the vehicles' x, v (n, 3) m, m/s and the tensions (links,) N of one instant."""
-        z, down = float(s.x0[2]), float(s.v0[2])
-        self._lifted = self._lifted or z < self._rest_z - LIFTED_M
-        if self._lifted and self._touch is None and z > self._rest_z - TOUCHES_M:
-            self._touch = abs(self._before)
-        self._before = down
-        self._tension = max(self._tension, float(tension.max()))
-        gap = separation(x)
-        self._separation = min(self._separation, gap)
-        low = x[:, 2] > self._floor_z - LOW_M
-        if low.any() or gap < HIT_M:
-            hard = (np.linalg.norm(v, axis=1) > HARD_M_S) | (s.R[:, 2, 2] < TOPPLED)
-            self._crashed.update(np.flatnonzero(low & hard).tolist())
-            if gap < HIT_M:
-                near = np.linalg.norm(x[:, None] - x[None], axis=-1) + np.eye(len(x))
-                self._crashed.update(np.flatnonzero(near.min(axis=1) < HIT_M).tolist())
-        self._last = tuple(s.x0.tolist())
+    def take(self, m: Motion, used: np.ndarray) -> None:
+        """The motion of consecutive instants, with a row for each; `used` (n, L) says which links there are."""
+        for z, down in zip(m.state.x0[:, 2].tolist(), m.state.v0[:, 2].tolist(), strict=True):
+            self._lifted = self._lifted or z < self._rest_z - LIFTED_M
+            if self._lifted and self._touch is None and z > self._rest_z - TOUCHES_M:
+                self._touch = abs(self._before)
+            self._before = down
+        self._tension = max(self._tension, float(m.tension[:, used].max()))
+        gap = np.linalg.norm(m.x[:, :, None] - m.x[:, None], axis=-1) + np.diag(np.full(m.x.shape[1], np.inf))
+        nearest = gap.min(axis=2)
+        self._separation = min(self._separation, float(nearest.min()))
+        low = m.x[:, :, 2] > self._floor_z - LOW_M
+        hard = (np.linalg.norm(m.v, axis=2) > HARD_M_S) | (m.state.R[:, :, 2, 2] < TOPPLED)
+        self._crashed.update(np.flatnonzero(((low & hard) | (nearest < HIT_M)).any(axis=0)).tolist())
+        self._last = tuple(m.state.x0[-1].tolist())
 
     def judged(self) -> Grounded:
         """The figures so far."""
