@@ -25,7 +25,7 @@ from logs.reader import read
 from logs.recorder import CHUNK_BYTES
 from logs.records import entries
 from logs.schema import cablequad_pb2 as pb
-from logs.serialize import LogWriter, serialized
+from logs.serialize import LogWriter, Waiting, serialized
 from missions import scenario as scenarios
 from missions.run import Options, Progress, run
 from missions.scribe import TOGETHER, Scribe
@@ -116,7 +116,10 @@ def libraries(log: Path) -> dict[str, float]:
             together = values[k : k + TOGETHER]
             columns = [(name, [row[f][1] for row in together]) for f, (name, _) in enumerate(together[0])]
             rows = serialized(pb.PlantState, len(together), columns)
-            writer.add_messages([(channel, k + j, data) for j, data in enumerate(rows)], k)
+            waiting = Waiting()
+            for j, data in enumerate(rows):
+                waiting.put(channel, k + j, data)
+            writer.add_messages(waiting, k)
 
     def by_library() -> None:
         writer = Writer(io.BytesIO(), chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)

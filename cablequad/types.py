@@ -1,4 +1,4 @@
-"""The array type that signatures use."""
+"""The array types that signatures use."""
 
 from typing import TypeAlias
 
@@ -7,4 +7,5 @@ import numpy.typing as npt
 
 Array: TypeAlias = npt.NDArray[np.float64]
 Counts: TypeAlias = npt.NDArray[np.int64]
+Bytes: TypeAlias = npt.NDArray[np.uint8]
 Triple: TypeAlias = tuple[float, float, float]

@@ -1,10 +1,11 @@
 """Values -> the messages of each topic."""
 
 from collections.abc import Sequence
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.timestamp_pb2 import Timestamp
@@ -14,6 +15,7 @@ from cablequad.pilot import Sample
 from cablequad.state import Difference, State, link_poses, positions
 from cablequad.system import System
 from cablequad.types import Array
+from logs import layout
 from logs.schema import cablequad_pb2 as pb
 from logs.serialize import serialized
 
@@ -143,22 +145,36 @@ def scene(model: Model, epoch_ns: int) -> Any:
     return update
 
 
-def transforms(model: Model, m: Motion, ns: int, first: bool) -> Any:
+def transforms(model: Model, m: Motion, ns: int, first: bool) -> bytes:
     """/tf: world_ned -> payload, vehicles and the middle of every link; map_enu -> world_ned once."""
-    out = FrameTransforms()
-    stamp = _stamp(ns)
-    if first:
-        half = float(np.sqrt(0.5))
-        _transform(out, stamp, "map_enu", "world_ned", np.zeros(3), np.array([0.0, half, half, 0.0]))
     s = m.state
-    _transform(out, stamp, "world_ned", "payload", _drawn(s.x0), _drawn(lie.quat_from_rotation(s.R0)))
-    middle, turn = (_drawn(a) for a in link_poses(model.system, s))
-    quats, x = _drawn(_quats(s.R)), _drawn(m.x)
-    for i in range(len(model.system.m)):
-        _transform(out, stamp, "world_ned", f"quad{i + 1}", x[i], quats[i])
-        for j in range(int(model.system.n_links[i])):
-            _transform(out, stamp, "world_ned", _link_frame(i, j), middle[i, j], turn[i, j])
-    return out
+    stamp = _stamp(ns).SerializeToString()
+    parts = [bytes((10, len(stamp))) + stamp + who for who in _frames(model.system.n_links.tobytes())]
+    ends = np.cumsum([len(part) for part in parts])
+    middle, turn = link_poses(model.system, s)
+    used = np.arange(middle.shape[1]) < model.system.n_links[:, None]
+    moved = _drawn(np.concatenate([_WORLD[:, :3], s.x0[None], m.x, middle[used]]))
+    turned = _drawn(np.concatenate([_WORLD[:, 3:], _quats(s.R0[None]), _quats(s.R), turn[used]]))[:, [1, 2, 3, 0]]
+    skip = 0 if first else 1
+    data = np.frombuffer(b"".join(parts[skip:]), np.uint8)
+    out = np.empty(len(data) + 80 * len(parts), np.uint8)
+    begin = ends[skip:] - (0 if first else ends[0])
+    size = layout.transforms(data, begin, np.ascontiguousarray(moved[skip:]), np.ascontiguousarray(turned[skip:]), out)
+    return out[:size].tobytes()
+
+
+_WORLD = np.array([[0.0, 0.0, 0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5), 0.0]])  # of map_enu: position and w, x, y, z
+
+
+@cache
+def _frames(n_links: bytes) -> list[bytes]:
+    """Parent and child of every transform as they stand in it: the world, the load, vehicles, links."""
+    links = np.frombuffer(n_links, np.int64).tolist()
+    children = ["payload", *(f"quad{i + 1}" for i in range(len(links)))]
+    children += [_link_frame(i, j) for i, k in enumerate(links) for j in range(k)]
+    pairs = [("map_enu", "world_ned"), *(("world_ned", child) for child in children)]
+    named = [FrameTransform(parent_frame_id=parent, child_frame_id=child) for parent, child in pairs]
+    return [message.SerializeToString() for message in named]
 
 
 def _link_frame(i: int, j: int) -> str:
@@ -192,10 +208,3 @@ def _cube(entity: Any, size: Sequence[float], rgba: Sequence[float]) -> None:
     cube.pose.orientation.w = 1.0
     cube.size.x, cube.size.y, cube.size.z = size
     cube.color.r, cube.color.g, cube.color.b, cube.color.a = rgba
-
-
-def _transform(out: Any, stamp: Timestamp, parent: str, child: str, x: Array, quat_wxyz: Array) -> None:
-    t = out.transforms.add(timestamp=stamp, parent_frame_id=parent, child_frame_id=child)
-    t.translation.x, t.translation.y, t.translation.z = x.tolist()
-    t.rotation.w, t.rotation.x, t.rotation.y, t.rotation.z = quat_wxyz.tolist()
-    t.translation.SetInParent()

@@ -22,7 +22,7 @@ from cablequad.state import Difference
 from logs import encode
 from logs.encode import Model, Motion
 from logs.schema import cablequad_pb2 as pb
-from logs.serialize import LogWriter, mavlink_frame
+from logs.serialize import LogWriter, Waiting
 
 FLUSH_S = 0.5
 SYNC_S = 2.0
@@ -94,9 +94,9 @@ class Recorder:
         self.error: str | None = None
         self._model = model
         self._epoch_ns = epoch_ns
-        self._names = names or {}
         self._channels: dict[str, int] = {}
-        self._waiting: list[tuple[str, int, bytes]] = []  # topic, vehicles' clock in us, message
+        self._rooms: dict[tuple[str, int], int] = {}  # channels of frames by direction and the other system
+        self._waiting = Waiting()
         self._last_tf_ns = -TF_NS
         self._with_truth = with_truth
         self._begun = time.monotonic()
@@ -109,7 +109,7 @@ class Recorder:
             raise RecorderError(f"log {self.part}: another recorder writes it; choose another with --out") from None
         except OSError as error:
             raise RecorderError(f"log {self.part}: {error.strerror}; choose another folder with --out") from None
-        self._writer = LogWriter(self._file, CHUNK_BYTES)
+        self._writer = LogWriter(self._file, CHUNK_BYTES, names)
         self._writer.start(profile="", library="cablequad")
         for item in attachments:
             self._writer.add_attachment(epoch_ns, epoch_ns, item.name, item.media_type, item.data)
@@ -129,9 +129,13 @@ class Recorder:
 
     def frames(self, boot_us: int, direction: str, frames: Sequence[tuple[int, bytes]]) -> None:
         """Frames that came in ("rx") or went out ("tx"), each with the system it came from or went to."""
+        log_time, put = self._epoch_ns + 1000 * boot_us, self._waiting.put
         for other, whole in frames:
-            who = "payload" if other == TRACKER else f"quad{other}"
-            self._waiting.append((f"/mavlink/{who}/{direction}", boot_us, mavlink_frame(whole, self._names)))
+            channel = self._rooms.get((direction, other))
+            if channel is None:
+                who = "payload" if other == TRACKER else f"quad{other}"
+                channel = self._rooms[direction, other] = self._channel(f"/mavlink/{who}/{direction}")
+            put(channel, log_time, whole, True)
 
     def decided(self, d: Decisions, off: Difference | None = None, known: Sequence[int] = ()) -> list[list[Message]]:
         """What is to be written of each decision, for `write`: its place among what was heard and said is the caller's.
@@ -154,7 +158,8 @@ class Recorder:
 
     def write(self, boot_us: int, messages: Sequence[Message]) -> None:
         """Messages as `decided` makes them."""
-        self._waiting += [(topic, boot_us, data) for topic, data in messages]
+        for topic, data in messages:
+            self._waiting.put(self._channel(topic), self._epoch_ns + 1000 * boot_us, data)
 
     def event(self, boot_us: int, kind: str, subject: str, text: str, room: str = "") -> None:
         """Something worth a line; of the simulator's side in a `room` of its own: its order against ours is chance."""
@@ -204,10 +209,8 @@ class Recorder:
                 self._give_up(error)
 
     def _settle(self) -> None:
-        waiting, self._waiting = self._waiting, []
-        if waiting:
-            numbered = [(self._channel(topic), self._epoch_ns + 1000 * us, data) for topic, us, data in waiting]
-            self._writer.add_messages(numbered, time.time_ns())
+        waiting, self._waiting = self._waiting, Waiting()
+        self._writer.add_messages(waiting, time.time_ns())
         now = time.monotonic()
         if now - self._flushed >= FLUSH_S:
             self._flushed = now
@@ -248,5 +251,4 @@ class Recorder:
             return []
         first = self._last_tf_ns < 0
         self._last_tf_ns = ns
-        drawn = encode.transforms(self._model, instant(), self._epoch_ns + ns, first)
-        return [("/tf", drawn.SerializeToString())]
+        return [("/tf", encode.transforms(self._model, instant(), self._epoch_ns + ns, first))]

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
@@ -33,7 +34,7 @@ from logs.recorder import Attachment, Decisions, Recorder, RecorderError
 from logs.records import entries, is_complete
 from logs.schema import cablequad_pb2 as pb
 from logs.schema import generate
-from logs.serialize import LogWriter, mavlink_frame, serialized
+from logs.serialize import LogWriter, Waiting, serialized
 from missions.opening import drawn_model
 
 SYSTEM = System.paper(1)
@@ -102,7 +103,7 @@ def test_bytes_written_by_hand_are_those_of_the_protobuf_library(tmp_path: Path)
     """Every field of every topic, decoded and serialized again by the library: byte for byte the same."""
     kinds = {
         "/plant/state": pb.PlantState, "/control/state": pb.ControlState, "/control/reference": pb.ControlReference,
-        "/control/estimate": pb.EstimateError, "/mavlink/quad1/tx": pb.MavlinkFrame,
+        "/control/estimate": pb.EstimateError, "/mavlink/quad1/tx": pb.MavlinkFrame, "/tf": FrameTransforms,
     }  # fmt: skip
     seen = set()
     for entry in entries(write(tmp_path / "a.mcap", 300).finish()):
@@ -127,41 +128,65 @@ def test_any_values_are_serialized_as_the_protobuf_library_does(values: list[flo
 
 
 @given(
-    body=st.binary(max_size=80),
-    version=st.sampled_from((0xFD, 0xFE)),
-    seq=st.integers(0, 255),
-    msgid=st.integers(0, 2**24 - 1),
+    frames=st.lists(
+        st.tuples(st.binary(max_size=200), st.booleans(), st.integers(0, 255), st.integers(0, 2**24 - 1)), max_size=5
+    )
 )
-def test_frames_are_enveloped_as_the_protobuf_library_does(body: bytes, version: int, seq: int, msgid: int) -> None:
-    if version == 0xFE:
-        msgid &= 255
-        whole = bytes((version, len(body), seq, 3, 1, msgid)) + body
-    else:
-        whole = bytes((version, len(body), 0, 0, seq, 3, 1, *msgid.to_bytes(3, "little"))) + body
-    names = {msgid: "NAME"} if msgid % 2 else {}
-    library = pb.MavlinkFrame(frame=whole, msgid=msgid, sysid=3, compid=1, seq=seq, name=names.get(msgid, ""))
-    assert mavlink_frame(whole, names) == library.SerializeToString()
-
-
-def test_chunks_written_by_hand_are_those_of_the_mcap_library() -> None:
-    files = []
-    for fast in (True, False):
-        file = io.BytesIO()
-        writer: Writer = (
-            LogWriter(file, 3000) if fast else Writer(file, chunk_size=3000, compression=CompressionType.ZSTD)
-        )
+def test_what_many_messages_are_written_as_is_what_the_libraries_write_of_each(
+    frames: list[tuple[bytes, bool, int, int]],
+) -> None:
+    names = {msgid: f"NAME_{msgid}" for *_, msgid in frames if msgid % 2}
+    together, one_by_one = (
+        LogWriter(io.BytesIO(), 10_000, names), Writer(io.BytesIO(), 10_000, compression=CompressionType.ZSTD)
+    )  # fmt: skip
+    waiting = Waiting()
+    for writer in (together, one_by_one):
         writer.start(library="x")
-        channels = [writer.register_channel(topic, "", 0) for topic in ("/a", "/b")]
-        messages = [(channels[k % 2], 10**9 + 7 * (k ^ 3), bytes([k & 255] * (k % 40))) for k in range(500)]
-        if isinstance(writer, LogWriter):
-            for part in (messages[:3], messages[3:200], [], messages[200:]):  # several chunks in one call among them
-                writer.add_messages(part, 5)
-        else:
-            for channel, log_time, data in messages:
-                writer.add_message(channel, log_time, data, 5)
+        channels = [writer.register_channel(topic, "", 0) for topic in ("/a", "/b", "/c")]
+    for k, (body, long, seq, msgid) in enumerate(frames):
+        head = bytes((0, 0, seq, 3, k, *msgid.to_bytes(3, "little"))) if long else bytes((seq, 3, k, msgid & 255))
+        whole = bytes((0xFD if long else 0xFE, len(body))) + head + body
+        number = msgid if long else msgid & 255
+        message = pb.MavlinkFrame(
+            frame=whole, msgid=number, sysid=3, compid=k, seq=seq, name=names.get(number, "")
+        )  # fmt: skip
+        times = 10**18 + (msgid ^ 5)
+        waiting.put(channels[k % 2], times, whole, True)
+        waiting.put(channels[2], times, body)
+        one_by_one.add_message(channels[k % 2], times, message.SerializeToString(), 5)
+        one_by_one.add_message(channels[2], times, body, 5)
+    together.add_messages(waiting, 5)
+    files = []
+    for writer in (together, one_by_one):
         writer.finish()
-        files.append(file.getvalue())
+        files.append(writer._Writer__stream.getvalue())  # type: ignore[union-attr]
     assert files[0] == files[1]
+
+
+def test_chunks_end_where_enough_was_written_and_their_indexes_find_every_message() -> None:
+    file = io.BytesIO()
+    writer = LogWriter(file, 3000)
+    writer.start(library="x")
+    channels = [writer.register_channel(topic, "", 0) for topic in ("/a", "/b")]
+    written = []
+    for part in range(20):
+        waiting = Waiting()
+        for k in range(25 * part, 25 * part + 25):
+            waiting.put(channels[k % 2], 10**9 + 7 * (k ^ 3), bytes([k & 255] * (k % 40)))
+            written.append((channels[k % 2], 10**9 + 7 * (k ^ 3), bytes([k & 255] * (k % 40))))
+        writer.add_messages(waiting, 5)
+    writer.add_messages(Waiting(), 5)
+    writer.finish()
+    file.seek(0)
+    reader = make_reader(file, validate_crcs=True)
+    summary = reader.get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    assert summary.statistics.message_count == 500
+    assert summary.statistics.chunk_count > 5
+    assert summary.statistics.channel_message_counts == dict.fromkeys(channels, 250)
+    read_back = [(m.channel_id, m.log_time, m.data) for _, _, m in reader.iter_messages()]
+    assert read_back == sorted(written, key=lambda row: row[1])
 
 
 def test_the_mcap_librarys_own_reader_takes_it_and_finds_every_topic(tmp_path: Path) -> None:
@@ -184,8 +209,6 @@ def test_log_time_is_the_epoch_plus_the_vehicles_clock(tmp_path: Path) -> None:
 
 
 def test_frames_for_viewers_have_one_parent_each(tmp_path: Path) -> None:
-    from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
-
     path = write(tmp_path / "a.mcap", 30).finish()
     parents: dict[str, set[str]] = {}
     for entry in entries(path):
