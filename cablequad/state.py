@@ -147,18 +147,28 @@ def velocities(system: System, state: State) -> Array:
 
 
 @jit
-def link_poses(system: System, state: State) -> tuple[Array, Array]:
-    """(n, L, 3) m, W: the middle of every link; (n, L, 4): the quaternion (w, x, y, z) from e3 to its direction."""
-    n, L = system.length.shape
-    nodes = positions(system, state)
-    middle, quat = np.empty((n, L, 3)), np.empty((n, L, 4))
+def link_poses(system: System, states: State) -> tuple[Array, Array, Array]:
+    """Where everything is at K instants, with a row of `states` for each.
+
+    (K, n, L + 1, 3) m, W: their `positions`; (K, n, L, 3) m, W: the middle of every link; (K, n, L, 4): the quaternion
+    (w, x, y, z) from e3 to its direction.
+    """
+    K, n, L = states.q.shape[0], states.q.shape[1], states.q.shape[2]
+    nodes, middle, quat = np.empty((K, n, L + 1, 3)), np.empty((K, n, L, 3)), np.empty((K, n, L, 4))
     e3 = np.array([0.0, 0.0, 1.0])
-    for i in range(n):
-        for j in range(L):
-            for a in range(3):
-                middle[i, j, a] = 0.5 * (nodes[i, j, a] + nodes[i, j + 1, a])
-            quat[i, j] = lie.quat_from_rotation(lie.exp(lie.direction_to(e3, state.q[i, j])))
-    return middle, quat
+    for k in range(K):
+        nodes[k] = positions(system, _instant(states, k))
+        for i in range(n):
+            for j in range(L):
+                for a in range(3):
+                    middle[k, i, j, a] = 0.5 * (nodes[k, i, j, a] + nodes[k, i, j + 1, a])
+                quat[k, i, j] = lie.quat_from_rotation(lie.exp(lie.direction_to(e3, states.q[k, i, j])))
+    return nodes, middle, quat
+
+
+@jit
+def _instant(rows: State, k: int) -> State:
+    return State(rows.x0[k], rows.v0[k], rows.R0[k], rows.Omega0[k], rows.q[k], rows.omega[k], rows.R[k], rows.Omega[k])
 
 
 class Difference(NamedTuple):
@@ -202,8 +212,3 @@ def differences(known: State, true: State, n_links: Counts) -> Difference:
         out.position[k], out.velocity[k], out.attitude[k], out.rate[k] = d.position, d.velocity, d.attitude, d.rate
         out.link_direction[k], out.link_rate[k] = d.link_direction, d.link_rate
     return out
-
-
-@jit
-def _instant(rows: State, k: int) -> State:
-    return State(rows.x0[k], rows.v0[k], rows.R0[k], rows.Omega0[k], rows.q[k], rows.omega[k], rows.R[k], rows.Omega[k])

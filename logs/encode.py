@@ -12,9 +12,9 @@ from google.protobuf.timestamp_pb2 import Timestamp
 
 from cablequad import lie
 from cablequad.pilot import Sample
-from cablequad.state import Difference, State, link_poses, positions
+from cablequad.state import Difference, State, link_poses
 from cablequad.system import System
-from cablequad.types import Array
+from cablequad.types import Array, Bytes, Counts
 from logs import layout
 from logs.schema import cablequad_pb2 as pb
 from logs.serialize import serialized
@@ -51,11 +51,14 @@ def color(i: int) -> tuple[int, int, int]:
     return COLORS[i % len(COLORS)]
 
 
-def measured_motion(model: Model, sample: Sample, tension: Sequence[float], thrust: Array) -> Motion:
-    """The motion as a controller knows it where no simulator tells: positions by the cables, tensions at the load."""
-    nodes = positions(model.system, sample.state)
-    spread = np.repeat(np.asarray(tension)[:, None], model.system.length.shape[1], axis=1)
-    return Motion(sample.state, nodes[:, 0], np.zeros_like(nodes[:, 0]), spread, thrust)
+def measured_motion(model: Model, sample: Sample, tension: Array) -> Motion:
+    """Motions as a controller knows them where no simulator tells: positions by the cables, tensions at the load.
+
+    `sample` has a row for each, as has `tension` (K, n) N.
+    """
+    nodes, _, _ = link_poses(model.system, sample.state)
+    spread = np.repeat(tension[:, :, None], model.system.length.shape[1], axis=2)
+    return Motion(sample.state, nodes[:, :, 0], np.zeros_like(nodes[:, :, 0]), spread, sample.f)
 
 
 def single(value: Any) -> Any:
@@ -65,9 +68,9 @@ def single(value: Any) -> Any:
     return np.asarray(value)[None]
 
 
-def row(value: Any, k: int) -> Any:
-    """Row k of a value with a row for every instant."""
-    return type(value)(*(row(field, k) if isinstance(field, tuple) else field[k] for field in value))
+def rows(value: Any, which: Sequence[int]) -> Any:
+    """Some rows of a value with a row for every instant."""
+    return type(value)(*(rows(f, which) if isinstance(f, tuple) else f[which] for f in value))
 
 
 def plants(boot_us: Sequence[int], held: Sequence[bool], m: Motion) -> list[bytes]:
@@ -145,36 +148,42 @@ def scene(model: Model, epoch_ns: int) -> Any:
     return update
 
 
-def transforms(model: Model, m: Motion, ns: int, first: bool) -> bytes:
-    """/tf: world_ned -> payload, vehicles and the middle of every link; map_enu -> world_ned once."""
-    s = m.state
-    stamp = _stamp(ns).SerializeToString()
-    parts = [bytes((10, len(stamp))) + stamp + who for who in _frames(model.system.n_links.tobytes())]
-    ends = np.cumsum([len(part) for part in parts])
-    middle, turn = link_poses(model.system, s)
-    used = np.arange(middle.shape[1]) < model.system.n_links[:, None]
-    moved = _drawn(np.concatenate([_WORLD[:, :3], s.x0[None], m.x, middle[used]]))
-    turned = _drawn(np.concatenate([_WORLD[:, 3:], _quats(s.R0[None]), _quats(s.R), turn[used]]))[:, [1, 2, 3, 0]]
-    skip = 0 if first else 1
-    data = np.frombuffer(b"".join(parts[skip:]), np.uint8)
-    out = np.empty(len(data) + 80 * len(parts), np.uint8)
-    begin = ends[skip:] - (0 if first else ends[0])
-    size = layout.transforms(data, begin, np.ascontiguousarray(moved[skip:]), np.ascontiguousarray(turned[skip:]), out)
-    return out[:size].tobytes()
+def transforms(model: Model, m: Motion, ns: Sequence[int], first: bool) -> list[bytes]:
+    """/tf: world_ned -> payload, vehicles and the middle of every link, of as many instants as `m` has rows.
+
+    The `first` of a log has map_enu -> world_ned as well.
+    """
+    s, K = m.state, len(ns)
+    _, middle, turn = link_poses(model.system, s)
+    used = np.arange(middle.shape[2]) < model.system.n_links[:, None]
+    world = np.broadcast_to(_WORLD, (K, 1, 7))
+    moved = _drawn(np.concatenate([world[..., :3], s.x0[:, None], m.x, middle[:, used]], axis=1))
+    turned = _drawn(np.concatenate([world[..., 3:], _quats(s.R0)[:, None], _quats(s.R), turn[:, used]], axis=1))
+    turned = np.ascontiguousarray(turned[..., [1, 2, 3, 0]])
+    pairs, ends = _pairs(model.system.n_links.tobytes())
+    out = np.empty(len(pairs) + 120 * len(ends), np.uint8)
+    told = []
+    for k, now in enumerate(ns):
+        stamp = np.frombuffer(_stamp(now).SerializeToString(), np.uint8)
+        skip = 0 if first and k == 0 else 1
+        size = layout.transforms(stamp, pairs, ends, moved[k, skip:], turned[k, skip:], out)
+        told.append(out[:size].tobytes())
+    return told
 
 
-_WORLD = np.array([[0.0, 0.0, 0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5), 0.0]])  # of map_enu: position and w, x, y, z
+_WORLD = np.array([0.0, 0.0, 0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5), 0.0])  # of map_enu: position and w, x, y, z
 
 
 @cache
-def _frames(n_links: bytes) -> list[bytes]:
-    """Parent and child of every transform as they stand in it: the world, the load, vehicles, links."""
+def _pairs(n_links: bytes) -> tuple[Bytes, Counts]:
+    """Parent and child of every transform as they stand in it, and where each ends: world, load, vehicles, links."""
     links = np.frombuffer(n_links, np.int64).tolist()
     children = ["payload", *(f"quad{i + 1}" for i in range(len(links)))]
     children += [_link_frame(i, j) for i, k in enumerate(links) for j in range(k)]
     pairs = [("map_enu", "world_ned"), *(("world_ned", child) for child in children)]
     named = [FrameTransform(parent_frame_id=parent, child_frame_id=child) for parent, child in pairs]
-    return [message.SerializeToString() for message in named]
+    told = [message.SerializeToString() for message in named]
+    return np.frombuffer(b"".join(told), np.uint8), np.cumsum([len(part) for part in told])
 
 
 def _link_frame(i: int, j: int) -> str:

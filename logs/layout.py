@@ -30,10 +30,7 @@ def records(
         if enveloped[k]:
             stop = _envelope(data, start, end, names, named, out, body)
         else:
-            stop = body
-            for i in range(start, end):
-                out[stop] = data[i]
-                stop += 1
+            stop = _copied(data, start, end, out, body)
         out[at] = MESSAGE
         _little(out, at + 1, stop - body + 22, 8)
         _little(out, at + 9, channel[k], 2)
@@ -46,26 +43,34 @@ def records(
 
 
 @jit
-def transforms(data: Bytes, ends: Counts, moved: Array, turned: Array, out: Bytes) -> int:
-    """foxglove.FrameTransforms, written to `out`; how many bytes.
+def transforms(stamp: Bytes, pairs: Bytes, ends: Counts, moved: Array, turned: Array, out: Bytes) -> int:
+    """foxglove.FrameTransforms of one instant, written to `out`; how many bytes.
 
-    `data` holds what stands in each transform before its translation and rotation, up to `ends` (k,); `moved` (k, 3)
-    and `turned` (k, 4), x, y, z, w, are those.
+    `stamp` is its time; `pairs` holds parent and child of each transform up to `ends` (k,), as they stand in it; the
+    last of them have moved (m, 3) and turned (m, 4), x, y, z, w.
     """
-    at, start = 0, 0
+    at, skip = 0, len(ends) - len(moved)
     move, turn = moved.view(np.int64), turned.view(np.int64)
-    for k in range(len(ends)):
-        m, t = _reals(move[k]), _reals(turn[k])
+    for k in range(skip, len(ends)):
+        begin = ends[k - 1] if k > 0 else 0
+        m, t = _reals(move[k - skip]), _reals(turn[k - skip])
         out[at] = 0x0A
-        at = _varint(out, at + 1, ends[k] - start + 2 + m + 2 + t)
-        for i in range(start, ends[k]):
-            out[at] = data[i]
-            at += 1
-        start = ends[k]
+        at = _varint(out, at + 1, 2 + len(stamp) + ends[k] - begin + 2 + m + 2 + t)
+        out[at], out[at + 1] = 0x0A, len(stamp)
+        at = _copied(stamp, 0, len(stamp), out, at + 2)
+        at = _copied(pairs, begin, ends[k], out, at)
         out[at], out[at + 1] = 0x22, m
-        at = _put_reals(out, at + 2, move[k])
+        at = _put_reals(out, at + 2, move[k - skip])
         out[at], out[at + 1] = 0x2A, t
-        at = _put_reals(out, at + 2, turn[k])
+        at = _put_reals(out, at + 2, turn[k - skip])
+    return at
+
+
+@inlined
+def _copied(data: Bytes, start: int, end: int, out: Bytes, at: int) -> int:
+    for i in range(start, end):
+        out[at] = data[i]
+        at += 1
     return at
 
 
@@ -81,9 +86,7 @@ def _envelope(data: Bytes, start: int, end: int, names: Bytes, named: Counts, ou
         msgid |= np.int64(data[header + 4]) << 8 | np.int64(data[header + 5]) << 16
     out[at] = 0x0A
     at = _varint(out, at + 1, end - start)
-    for i in range(start, end):
-        out[at] = data[i]
-        at += 1
+    at = _copied(data, start, end, out, at)
     at = _number(out, at, 0x10, msgid)
     at = _number(out, at, 0x18, system)
     at = _number(out, at, 0x20, component)
@@ -92,9 +95,7 @@ def _envelope(data: Bytes, start: int, end: int, names: Bytes, named: Counts, ou
     if row < len(named) and named[row, 0] == msgid:
         out[at] = 0x32
         at = _varint(out, at + 1, named[row, 2] - named[row, 1])
-        for i in range(named[row, 1], named[row, 2]):
-            out[at] = names[i]
-            at += 1
+        at = _copied(names, named[row, 1], named[row, 2], out, at)
     return at
 
 

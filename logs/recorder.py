@@ -1,6 +1,6 @@
 """MCAP out, for a process of its own: what is to be written comes many instants at a time.
 
-The file is NAME.mcap.part until `finish`; chunks are closed every `FLUSH_S`, so a killed run loses no more.
+The file is NAME.mcap.part until `finish`; chunks are closed every `FLUSH_S` by `flush`, so a killed run loses no more.
 A write that fails (a full disk) cuts the file back to its last whole chunk, keeps the error and ends the recording.
 """
 
@@ -8,10 +8,10 @@ import contextlib
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
@@ -98,6 +98,7 @@ class Recorder:
         self._rooms: dict[tuple[str, int], int] = {}  # channels of frames by direction and the other system
         self._waiting = Waiting()
         self._last_tf_ns = -TF_NS
+        self._first = True  # of these
         self._with_truth = with_truth
         self._begun = time.monotonic()
         self._good_offset = 0
@@ -116,16 +117,19 @@ class Recorder:
         for name, values in metadata.items():
             self._writer.add_metadata(name, dict(values))
         self._file.flush()
-        self._flushed = self._synced = time.monotonic()
+        self._synced = time.monotonic()
         self.write(0, [("/scene", encode.scene(model, epoch_ns).SerializeToString())])
 
     # -- what is to be written, in its order; `settle` writes it -------------------------------------------------------
 
     def truths(self, boot_us: Sequence[int], held: Sequence[bool], motion: Motion) -> None:
         """The simulator's states, a row of `motion` for each."""
-        for k, (us, data) in enumerate(zip(boot_us, encode.plants(boot_us, held, motion), strict=True)):
+        for us, data in zip(boot_us, encode.plants(boot_us, held, motion), strict=True):
             self.write(us, [("/plant/state", data)])
-            self.write(us, self._transforms(us, partial(encode.row, motion, k)))
+        due = self._drawn(boot_us)
+        if due:
+            for k, data in self._transforms(boot_us, due, encode.rows(motion, due)):
+                self.write(boot_us[k], [("/tf", data)])
 
     def frames(self, boot_us: int, direction: str, frames: Sequence[tuple[int, bytes]]) -> None:
         """Frames that came in ("rx") or went out ("tx"), each with the system it came from or went to."""
@@ -148,13 +152,13 @@ class Recorder:
             for k, data in zip(known, encode.estimates([d.boot_us[k] for k in known], off), strict=True):
                 told[k].append(("/control/estimate", data))
         if not self._with_truth:
-            for k, us in enumerate(d.boot_us):
-                told[k] += self._transforms(us, partial(self._measured, d, k))
+            due = self._drawn(d.boot_us)
+            if due:
+                told_N = np.array([d.tension[k] for k in due])
+                motion = encode.measured_motion(self._model, encode.rows(d.sample, due), told_N)
+                for k, data in self._transforms(d.boot_us, due, motion):
+                    told[k].append(("/tf", data))
         return told
-
-    def _measured(self, d: Decisions, k: int) -> Motion:
-        sample = encode.row(d.sample, k)
-        return encode.measured_motion(self._model, sample, d.tension[k], sample.f)
 
     def write(self, boot_us: int, messages: Sequence[Message]) -> None:
         """Messages as `decided` makes them."""
@@ -181,8 +185,13 @@ class Recorder:
         self.write(boot_us, [("/perf", message.SerializeToString())])
 
     def settle(self) -> None:
-        """Put what waits into the file, and close a chunk when it is time."""
+        """Put what waits into the open chunk."""
         self._attempt(self._settle)
+
+    def flush(self) -> None:
+        """Close the chunk: what was given until now is kept, whatever happens. To be called every `FLUSH_S`."""
+        self.settle()
+        self._attempt(self._flush)
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
         """A metadata record, behind all that was written."""
@@ -211,14 +220,14 @@ class Recorder:
     def _settle(self) -> None:
         waiting, self._waiting = self._waiting, Waiting()
         self._writer.add_messages(waiting, time.time_ns())
+
+    def _flush(self) -> None:
+        self._writer.flush()  # type: ignore[no-untyped-call]
+        self._good_offset = self._file.tell()
         now = time.monotonic()
-        if now - self._flushed >= FLUSH_S:
-            self._flushed = now
-            self._writer.flush()  # type: ignore[no-untyped-call]
-            self._good_offset = self._file.tell()
-            if now - self._synced >= SYNC_S:
-                self._synced = now
-                os.fdatasync(self._file.fileno())
+        if now - self._synced >= SYNC_S:
+            self._synced = now
+            os.fdatasync(self._file.fileno())
 
     def _end(self) -> None:
         self._writer.finish()  # type: ignore[no-untyped-call]
@@ -244,11 +253,16 @@ class Recorder:
             channel = self._channels[topic] = self._writer.register_channel(topic, "protobuf", schema)
         return channel
 
-    def _transforms(self, boot_us: int, instant: Callable[[], Motion]) -> list[Message]:
-        """Frames for viewers, at their rate."""
-        ns = boot_us * 1000
-        if ns - self._last_tf_ns < TF_NS:
-            return []
-        first = self._last_tf_ns < 0
-        self._last_tf_ns = ns
-        return [("/tf", encode.transforms(self._model, instant(), self._epoch_ns + ns, first))]
+    def _drawn(self, boot_us: Sequence[int]) -> list[int]:
+        """Which of these instants have frames for viewers."""
+        due = []
+        for k, us in enumerate(boot_us):
+            if us * 1000 - self._last_tf_ns >= TF_NS:
+                self._last_tf_ns = us * 1000
+                due.append(k)
+        return due
+
+    def _transforms(self, boot_us: Sequence[int], due: Sequence[int], motion: Motion) -> list[tuple[int, bytes]]:
+        first, self._first = self._first, False
+        drawn = encode.transforms(self._model, motion, [self._epoch_ns + 1000 * boot_us[k] for k in due], first)
+        return list(zip(due, drawn, strict=True))

@@ -13,6 +13,7 @@ import os
 import pickle
 import signal
 import sys
+import time
 from collections import deque
 from collections.abc import Mapping, Sequence
 from multiprocessing.connection import Connection, wait
@@ -25,7 +26,7 @@ from bridge.link import Received, Sent
 from bridge.phases import CARRIED
 from bridge.wire.dialect import mavlink
 from cablequad.pilot import Sample
-from cablequad.state import Difference, State, differences, positions
+from cablequad.state import Difference, State, differences
 from logs import encode
 from logs.encode import Model, Motion
 from logs.recorder import FLUSH_S, Attachment, Decisions, Message, Recorder, RecorderError
@@ -35,6 +36,7 @@ from sitl.settings import Event
 
 PIPE_BYTES = 1 << 20  # what may wait for the scribe before the control loop does
 TOGETHER = 16  # decisions in one write, as a wake-up of the scribe costs more than what it is told
+AT_ONCE = 512  # entries that are written together, which costs less for each
 BATCH = 128  # entries that wait at most, where no tick is answered
 TRUTH_WAIT_S = 1.0  # the simulator says what it did right after it spoke; longer means that it has ended
 START_S = 60.0
@@ -353,12 +355,10 @@ class _Ledger:
 def _encode_once(model: Model) -> None:
     """Compile what encoding calls before anybody waits for it."""
     n, L = model.system.length.shape
-    hanging, still = State.hanging(model.system), np.zeros((n, 3))
-    motion = Motion(hanging, still, still, np.zeros((n, L)), np.zeros(n))
-    row = encode.single(motion)
+    still = np.zeros((n, 3))
+    row = encode.single(Motion(State.hanging(model.system), still, still, np.zeros((n, L)), np.zeros(n)))
     encode.plants([0], [True], row)
-    encode.transforms(model, motion, 0, True)
-    positions(model.system, hanging)
+    encode.transforms(model, row, [0], True)
     differences(row.state, row.state, model.system.n_links)
 
 
@@ -380,20 +380,29 @@ def _child(opening: Opening, down: Connection, up: Connection, truth: Connection
     up.send("ready")
     ledger = _Ledger(recorder, opening.model, truth, opening.target_m, opening.standing)
     told_error = False
+    batch: list[tuple] = []
+    flushed = time.monotonic()
     while True:
         try:
-            ready = wait(ledger.sources(down), FLUSH_S)
+            ready = wait(ledger.sources(down), max(0.0, flushed + FLUSH_S - time.monotonic()))
             ledger.listen(ready)
-            if down not in ready:
-                recorder.settle()
-                continue
-            batch = pickle.loads(down.recv_bytes())
+            if down in ready:
+                batch += pickle.loads(down.recv_bytes())
         except (EOFError, OSError):
+            ledger.take(batch)
             ledger.end_truth(False)
             recorder.finish()
             return
-        last = batch[-1] if batch[-1][0] in ("truth ends", "finish") else None  # nothing follows these
+        now = time.monotonic()
+        last = batch[-1] if batch and batch[-1][0] in ("truth ends", "finish") else None  # nothing follows these
+        due = now >= flushed + FLUSH_S
+        if last is None and not due and len(batch) < AT_ONCE:
+            continue  # what waits would be lost with an open chunk as well
         ledger.take(batch if last is None else batch[:-1])
+        batch = []
+        if due:
+            recorder.flush()
+            flushed = now
         if last is not None and last[0] == "truth ends":
             ledger.end_truth(last[2])
             up.send(ledger.judged)
