@@ -12,9 +12,8 @@ from typing import NamedTuple
 from bridge.ports import vehicle_ports
 from bridge.wire.earth import Home
 from missions.scenario import Flight, ScenarioError
-from missions.simulate import Backend, kinds
+from missions.simulate import Backend, joint_steps, kinds
 from sitl.external.ardupilot import MOTORS
-from sitl.external.joint import frame_us
 
 ARM_M = 0.17  # of rotors that nothing is said of
 RATE_LOOP = 18.0  # rad/s: the bandwidth that rate gains are scaled to
@@ -44,7 +43,8 @@ def launches(flight: Flight, backend: Backend, path: Path | None, offset: int, h
     out = []
     for i, kind in enumerate(kinds(flight, backend)):
         if kind == "arducopter":
-            out.append(_ardupilot(flight, i, _binary(path, "arducopter"), offset, host, speed))
+            rate = round(1e6 / joint_steps(flight, backend).frame_us)
+            out.append(_ardupilot(flight, i, _binary(path, "arducopter"), offset, host, speed, rate))
         else:
             out.append(_px4(flight, i, _binary(path, "px4"), offset, speed))
     return out
@@ -61,11 +61,10 @@ def _binary(path: Path | None, name: str) -> Path:
     raise ScenarioError(f"--launch {path}: no {name} that can be run there; give its binary or the folder it is in")
 
 
-def _ardupilot(flight: Flight, i: int, binary: Path, offset: int, host: str, speed: float) -> Launch:
+def _ardupilot(flight: Flight, i: int, binary: Path, offset: int, host: str, speed: float, rate: int) -> Launch:
     if offset % 10 and binary.is_absolute():
         raise ScenarioError(f"--port-offset {offset}: ArduPilot's ports move in steps of 10")
     home = Home()
-    rate = round(1e6 / frame_us(flight.physics_us, flight.tick_us))
     argv = (
         str(binary), "--model", f"JSON:{host}", "-I", str(i + offset // 10), "--sysid", str(i + 1), "--home",
         f"{home.latitude_deg},{home.longitude_deg},{home.altitude_m:g},0", "--rate", str(rate), "--speedup",

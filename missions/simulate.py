@@ -22,7 +22,7 @@ from missions.channel import Failure, Ready, Status, put
 from missions.scenario import Flight, ScenarioError
 from missions.tables import BarometerTable, FailureTable, GpsTable, ImuTable, MagnetometerTable, SensorsTable
 from sitl.batteries import Battery
-from sitl.external.joint import AutopilotError, External, JointServer, frame_us
+from sitl.external.joint import AutopilotError, External, JointServer, Steps, steps
 from sitl.failures import Failure as Breakage
 from sitl.instruments import Grades
 from sitl.plant import PhysicsError, Truth
@@ -103,11 +103,16 @@ def kinds(flight: Flight, backend: Backend) -> tuple[str, ...]:
     return flight.firmware if backend in ("mixed", "builtin") else (KINDS[backend],) * len(flight.firmware)
 
 
+def joint_steps(flight: Flight, backend: Backend) -> Steps:
+    """How time goes on where `backend` flies. Raises ValueError where autopilots cannot be asked in such steps."""
+    return steps(flight.physics_us, flight.tick_us, flight.truth_us, flight.control_us, kinds(flight, backend))
+
+
 def _external(flight: Flight, backend: Backend) -> External | None:
     if backend == "builtin":
         return None
     try:
-        frame_us(flight.physics_us, flight.tick_us)
+        joint_steps(flight, backend)
     except ValueError as error:
         raise ScenarioError(f"scenario {flight.scenario.name}: {error}") from None
     for f in flight.scenario.failures:

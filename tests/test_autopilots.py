@@ -35,7 +35,7 @@ from missions.scenario import ScenarioError
 from missions.simulate import Serving, settings
 from sitl.external import ardupilot, px4
 from sitl.external.ardupilot import ArduPilotSeat, PacketError, servos
-from sitl.external.joint import AutopilotError, JointServer, frame_us
+from sitl.external.joint import AutopilotError, JointServer, Steps, steps
 from sitl.external.px4 import Px4Seat
 from sitl.external.seat import Own, SeatError
 from sitl.instruments import Grades, Instruments
@@ -185,10 +185,15 @@ def test_the_same_frame_again_is_answered_again_and_not_stepped_again(
     assert seat.present
     assert seat.settled
     peer.send(packet(0))  # before the answer: one is enough
+    time.sleep(0.6)  # it asks again after a second
     heard(seat)
     seat.tell(own())
     first = peer.recv(4096)
     assert not seat.settled
+    peer.setblocking(False)
+    with pytest.raises(BlockingIOError):
+        peer.recv(4096)
+    peer.setblocking(True)
     peer.send(packet(0))  # after it: the answer was lost
     heard(seat)
     assert peer.recv(4096) == first
@@ -324,12 +329,24 @@ def test_on_its_stand_a_vehicle_turns_by_its_rotors_alone_and_stays_where_it_is(
     assert (plant.kinematics()[0] != x).any()
 
 
+MIXED, ARDUPILOTS = ("arducopter", "px4"), ("arducopter", "arducopter")
+
+
+def test_time_goes_on_in_steps_that_every_autopilot_of_the_fleet_takes() -> None:
+    for us in (1000, 500, 250):
+        assert steps(us, 4000, 4000, 20_000, MIXED) == Steps(1000, us, 4000, 4000)
+    assert steps(500, 12_500, 12_500, 12_500, MIXED).frame_us == 500  # 80 Hz: ticks are whole numbers of frames
+    # ArduPilots alone are asked at 800 Hz, where the control rate and what is recorded let them
+    assert steps(1000, 4000, 4000, 20_000, ARDUPILOTS) == Steps(1250, 625, 5000, 5000)
+    assert steps(300, 4000, 4000, 20_000, ARDUPILOTS) == Steps(1250, 250, 5000, 5000)
+    assert steps(1000, 4000, 4000, 4000, ARDUPILOTS) == Steps(1000, 1000, 4000, 4000)
+    assert steps(1000, 4000, 1000, 20_000, ARDUPILOTS) == Steps(1000, 1000, 4000, 1000)
+
+
 def test_a_physics_step_that_no_autopilot_takes_is_refused_by_name() -> None:
-    assert [frame_us(us, 20_000) for us in (1000, 500, 250)] == [1000, 1000, 1000]
-    assert frame_us(500, 12_500) == 500  # 80 Hz: a tick is a whole number of frames, or the tracker would miss some
     for physics_us, tick_us in ((2000, 4000), (1000, 12_500), (813, 33_333)):
         with pytest.raises(ValueError, match=r"physics\.rate_hz, control\.rate_hz"):
-            frame_us(physics_us, tick_us)
+            steps(physics_us, tick_us, tick_us, tick_us, MIXED)
 
 
 def test_who_never_comes_is_named_with_the_address_it_should_have_used() -> None:

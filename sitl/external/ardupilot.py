@@ -10,6 +10,7 @@ e = MOT_THST_EXPO. Rotor speed goes with the root of t. So a throttle of F / F_m
 
 import socket
 import struct
+import time
 from typing import NamedTuple
 
 from bridge.ports import Address, bind
@@ -22,6 +23,7 @@ HEADER = struct.Struct("<HHI")
 SIZE = {MAGIC_16: HEADER.size + 2 * 16, MAGIC_32: HEADER.size + 2 * 32}
 HIGHEST_PWM = 2500  # us; 0 is a channel without output
 MOTORS = 4
+ASKS_AGAIN_S = 0.5  # SITL does so after one
 EXPO, SPIN_MIN, SPIN_MAX = 0.65, 0.15, 0.95  # ArduCopter's defaults
 
 
@@ -85,6 +87,7 @@ class ArduPilotSeat:
         self._frame = -1
         self._address: Address | None = None
         self._waits = False  # for the answer to its newest frame
+        self._asked = 0.0  # wall clock, when that came
         self._answer = b""
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
@@ -106,23 +109,31 @@ class ArduPilotSeat:
         return [self._socket.fileno()]
 
     def hear(self) -> None:
-        while True:
-            try:
-                data, address = self._socket.recvfrom(2048)
-            except (BlockingIOError, ConnectionRefusedError):
-                return
-            try:
-                packet = servos(data)
-            except PacketError:
-                self.tally.refused += 1
-                continue
+        while not self._waits and self._hear_one():
+            pass
+
+    def _hear_one(self) -> bool:
+        """Whether there was a packet."""
+        try:
+            data, address = self._socket.recvfrom(2048)
+        except (BlockingIOError, ConnectionRefusedError):
+            return False
+        try:
+            packet = servos(data)
+        except PacketError:
+            self.tally.refused += 1
+        else:
             self._take(packet, address)
+        return True
 
     def due(self, now_us: int) -> bool:
         del now_us
         return self._waits
 
     def tell(self, own: Own) -> None:
+        if time.monotonic() > self._asked + ASKS_AGAIN_S:
+            while self._hear_one():  # it has asked again meanwhile: one answer for all, or it would lag behind
+                pass
         self._answer = line(own)
         self._waits = False
         self._reply()
@@ -143,6 +154,7 @@ class ArduPilotSeat:
             return
         self.tally.taken += 1
         self._address, self._frame, self._waits = address, packet.frame, True
+        self._asked = time.monotonic()
         a, b, c, d = (thrust_share(p) for p in packet.pwm[:MOTORS])
         self.share = (a, b, c, d)
 

@@ -30,10 +30,12 @@ from sitl.plant import Truth
 from sitl.settings import Event, Report, Settings, Sink, own_generator, plant_of, sensors_of
 
 FRAME_US = 1250  # the longest step: ArduCopter does not arm below 1.8 times its loop rate of 400 Hz
+LONG_TICK_US = 5000  # of whole such steps
 START_US = 1_000_000  # of the physics' clock: no firmware is told that it is 0
 GRACE_S = 30.0  # of the physics' clock, for those that are left
 CARRIED_S, STEADY = 0.5, 0.04  # what a vehicle gives must be more than its weight, and change by no more, for so long
 LANDED_US = 200_000
+BURST_S = 0.002  # wall clock: that answers of one step are apart, at most, for all to be heard together
 REAL_TIME_S = 0.2  # behind the wall clock that is made up for
 
 
@@ -49,11 +51,27 @@ class External(NamedTuple):
     silent_s: float = 2.5  # wall clock without an answer; SITL asks again after one
 
 
-def frame_us(physics_us: int, tick_us: int) -> int:
-    """The joint step: whole physics steps, that fit into PX4's 4 ms and into a tick. Raises ValueError if none does."""
-    for steps in range(FRAME_US // physics_us, 0, -1):
-        if SENSOR_US % (steps * physics_us) == 0 and tick_us % (steps * physics_us) == 0:
-            return steps * physics_us
+class Steps(NamedTuple):
+    """How a flight's time goes on where autopilots are asked what they do."""
+
+    frame_us: int  # from one question to the next
+    physics_us: int
+    tick_us: int
+    truth_us: int
+
+
+def steps(physics_us: int, tick_us: int, truth_us: int, control_us: int, kinds: tuple[str, ...]) -> Steps:
+    """The joint steps: whole physics steps in a frame, whole frames in a tick and in PX4's 4 ms.
+
+    ArduPilots alone, at a control rate that lets them, are asked at 800 Hz: each question costs more than the physics
+    between two, which is made in steps no longer than asked. Raises ValueError if nothing fits.
+    """
+    if "px4" not in kinds and control_us % LONG_TICK_US == 0 and truth_us == tick_us:
+        finer = max(us for us in range(1, FRAME_US + 1) if FRAME_US % us == 0 and us <= physics_us)
+        return Steps(FRAME_US, finer, LONG_TICK_US, LONG_TICK_US)
+    for count in range(FRAME_US // physics_us, 0, -1):
+        if SENSOR_US % (count * physics_us) == 0 and tick_us % (count * physics_us) == 0:
+            return Steps(count * physics_us, physics_us, tick_us, truth_us)
     raise ValueError(
         f"physics.rate_hz, control.rate_hz: steps of {physics_us} us in ticks of {tick_us} us do not fit autopilots; "
         "1000 Hz (no less than 800) and 50, 100 or 250 Hz do"
@@ -67,9 +85,11 @@ class JointServer:
         """Raises LinkError where a port is taken."""
         s, external = settings, settings.external
         assert external is not None
-        self.settings, self._external, self._sink = s, external, sink
+        self._external, self._sink = external, sink
         self.n = n = len(s.system.m)
-        self._frame_us = frame_us(s.physics_us, s.tick_us)
+        way = steps(s.physics_us, s.tick_us, s.truth_us, s.control_us, external.kinds)
+        self._frame_us, self._substeps = way.frame_us, way.frame_us // way.physics_us
+        self.settings = s = s._replace(physics_us=way.physics_us, tick_us=way.tick_us, truth_us=way.truth_us)
         self.plant = plant_of(s._replace(around=s.around._replace(driven=True)))
         self._sensors = sensors_of(s)
         self._batteries = Batteries(s.batteries, s.system.m * s.system.g)
@@ -156,25 +176,23 @@ class JointServer:
     def _gather(self, stop: Callable[[], bool]) -> None:
         """Until everybody has said what it does now, and the wall clock is no longer behind."""
         deadline = time.monotonic() + self._external.silent_s
-        missing = self.seats
-        while True:
+        self._hear([seat for seat in self._left(self.seats) if not seat.engaged])
+        missing = [seat for seat in self._left(self.seats) if not seat.settled]
+        while missing and not stop():
+            # who was told last answers last, mostly: being woken for every answer would cost more than the step
+            self._wait(BURST_S, missing[-1:])
             self._hear(missing)
-            missing = [seat for i, seat in enumerate(self.seats) if i not in self._gone and not seat.settled]
-            if not missing:
-                break
-            if stop():
-                return
-            if time.monotonic() > deadline:
+            missing = [seat for seat in self._left(missing) if not seat.settled]
+            if missing and time.monotonic() > deadline:
                 for seat in missing:
                     self._lose(seat, f"has not answered since t = {self.now_us * 1e-6:.3f} s")
-                continue
-            self._wait(0.05, missing)
         self._pace(stop)
+
+    def _left(self, seats: list[Seat]) -> list[Seat]:
+        return [seat for seat in seats if self.seats.index(seat) not in self._gone] if self._gone else seats
 
     def _hear(self, seats: list[Seat]) -> None:
         for seat in seats:
-            if self.seats.index(seat) in self._gone:
-                continue
             try:
                 seat.hear()
             except SeatError as error:
@@ -206,7 +224,7 @@ class JointServer:
         s = self.settings
         share = np.array([seat.share if i not in self._gone else (0.0,) * 4 for i, seat in enumerate(self.seats)])
         self.plant.drive(share * (s.airframe.max_thrust / 4.0)[:, None])
-        self.plant.advance(self._frame_us // s.physics_us)
+        self.plant.advance(self._substeps)
         self.now_us += self._frame_us
         self._steps += 1
         if self.plant.held:
