@@ -1,7 +1,6 @@
 """Part of a fleet: its share of a state, what it bears of the load, and its decisions as ones for all."""
 
 import numpy as np
-from scipy import optimize
 
 from cablequad.attitude import Airframe
 from cablequad.design import Design
@@ -29,6 +28,8 @@ def state_of(s: State, rest: list[int], design: Design) -> State:
 
 def static_shares(system: System, R0: Array) -> Array:
     """(n,) N: with what vertical pulls the vehicles bear a load that hangs as it does, none of them below zero."""
+    from scipy import optimize  # here, as it takes longer to load than to use
+
     arms = system.rho @ R0.T
     weight = system.m0 * system.g
     rows = np.vstack([np.ones(len(arms)), arms[:, 0], arms[:, 1]])

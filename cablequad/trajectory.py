@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy import interpolate
 
 from cablequad._jit import jit
 from cablequad.types import Array
@@ -121,6 +120,8 @@ def along(curve: Callable[[Array], Array], laps: float, speed: float, limits: Li
 
     The speed rises and falls as in a leg, within the limits on acceleration.
     """
+    from scipy import interpolate  # here, as it takes longer to load than to use
+
     phase = np.linspace(0.0, 2 * np.pi * laps, max(200, int(2000 * laps)) + 1)
     points = curve(phase)
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points[:, :3], axis=0), axis=1))])

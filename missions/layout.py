@@ -1,7 +1,6 @@
 """What surrounds a scenario's system, and where things stand on its ground."""
 
 import numpy as np
-from scipy import optimize
 
 from cablequad import lie
 from cablequad.air import Air
@@ -101,6 +100,8 @@ def slack_chain(lengths: np.ndarray, way: np.ndarray) -> np.ndarray:
 
     if len(lengths) == 1:
         return bow(0.0)
+    from scipy import optimize  # here, as it takes longer to load than to use
+
     q = bow(float(optimize.brentq(excess, 0.0, 2 * np.pi)))
     ends = lengths @ q
     turned = lie.exp(lie.direction_to(ends / np.linalg.norm(ends), along))

@@ -107,18 +107,17 @@ def run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary, 
     """Fly; the summary, and whether the user interrupted. What goes wrong is the summary's reason, no exception."""
     if options.backend != "builtin":
         flight = without_hooks(flight)
-    design = scenarios.design(flight)
     for note in flight.notes:
         progress.say(note)
     for motion in reach(flight.system).missing:
         progress.say(f"{motion} is out of reach of the vehicles' forces; it is left out, the rest is flown")
     try:
-        return _run(flight, design, options, progress)
+        return _run(flight, options, progress)
     except (LinkError, RecorderError) as error:
         return _nothing(flight, str(error)), False
 
 
-def _run(flight: Flight, design: Design, options: Options, progress: Progress) -> tuple[Summary, bool]:
+def _run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary, bool]:
     n = len(flight.system.m)
     key = options.signing_key
     signer = Signer(key, options.accept_unsigned_telemetry) if key is not None else None
@@ -134,29 +133,30 @@ def _run(flight: Flight, design: Design, options: Options, progress: Progress) -
         lockstep = math.isinf(options.speed) and not options.connect and not external
         patience = max(flight.scenario.link.connect_timeout_s, BOOT_S if external else 0.0)
         who = "connected" if options.connect else options.backend
-        beginning = opening(flight, design, options.out, lockstep, bool(options.connect), who)
-        scribe = Scribe(beginning)
-        if options.live:
-            show = Show(beginning.path)
-        progress.say("getting ready (the first start on a machine compiles the model: a minute or two)")
-        _warm_up(design, flight)  # before the vehicles' clock runs: it does not wait for a compiler
-        predict_once(flight)
-        prepared = ready(flight, design, options.configure)
+        scribe = Scribe()
+        starts = _starts(flight, options) if external else []
         if not options.connect:
             serving = Serving(
                 lockstep=lockstep, await_controller=True, speed=options.speed, backend=options.backend,
                 port_offset=options.port_offset, signing_key=key,
                 accept_unsigned_telemetry=options.accept_unsigned_telemetry,
             )  # fmt: skip
-            values = settings(flight, serving)
-            starts = _starts(flight, options) if external else []
-            simulator = Simulator(values, scribe.truth_end)
-            if external and options.launch is not None:
-                autopilots = Autopilots(starts, beginning.path.with_suffix(""))
-            if external and options.launch is None:
-                progress.say("start the autopilots:")
-                for line in start_lines(starts, beginning.path.with_suffix("")):
-                    progress.say(f"  {line}")
+            simulator = Simulator(settings(flight, serving), scribe.truth_end)
+        progress.say("getting ready (the first start on a machine compiles the model: a minute or two)")
+        design = scenarios.design(flight)  # while the others are on their way
+        beginning = opening(flight, design, options.out, lockstep, bool(options.connect), who)
+        scribe.open(beginning)
+        if options.live:
+            show = Show(beginning.path)
+        _warm_up(design, flight)  # before the vehicles' clock runs: it does not wait for a compiler
+        predict_once(flight)
+        prepared = ready(flight, design, options.configure)
+        if external and options.launch is not None:
+            autopilots = Autopilots(starts, beginning.path.with_suffix(""))
+        elif external:
+            progress.say("start the autopilots:")
+            for line in start_lines(starts, beginning.path.with_suffix("")):
+                progress.say(f"  {line}")
         scribe.wait_ready()
         watch = _Watch(scribe, _track(flight))
         if simulator is not None and lockstep:
@@ -168,6 +168,8 @@ def _run(flight: Flight, design: Design, options: Options, progress: Progress) -
                 timing = NO_TIME
             else:
                 few_collections()
+                if simulator is not None:
+                    simulator.go()
                 outcome, timing = _fly(
                     flight, prepared, link, watch, simulator, interrupted, progress, patience,
                     external or bool(options.connect), lambda: None if autopilots is None else autopilots.ended(),

@@ -72,9 +72,9 @@ class Closing(NamedTuple):
 
 
 class Scribe:
-    """The bridge's end of the recording."""
+    """The bridge's end of the recording. Its process is on its way before it is known what to record."""
 
-    def __init__(self, opening: Opening) -> None:
+    def __init__(self) -> None:
         context = multiprocessing.get_context("spawn")
         down, self._down = context.Pipe(duplex=False)
         self._up, up = context.Pipe(duplex=False)
@@ -87,13 +87,17 @@ class Scribe:
         self._batch: list[tuple] = []
         self._shapes_told = False
         self._decisions = 0
-        self._path = opening.path
-        self._process = context.Process(
-            target=_child, args=(opening, down, up, truth), name="cablequad-scribe", daemon=True
-        )
+        self._path = Path()
+        self._process = context.Process(target=_child, args=(down, up, truth), name="cablequad-scribe", daemon=True)
         self._process.start()
         for end in (down, up, truth):
             end.close()
+
+    def open(self, opening: Opening) -> None:
+        """Say what is recorded, and where."""
+        self._path = opening.path
+        with contextlib.suppress(OSError):  # it ended by itself: `wait_ready` says so
+            self._down.send_bytes(pickle.dumps(opening, 5))
 
     def wait_ready(self) -> None:
         """Until the log is open. Raises RecorderError if it cannot be."""
@@ -362,12 +366,16 @@ def _encode_once(model: Model) -> None:
     differences(row.state, row.state, model.system.n_links)
 
 
-def _child(opening: Opening, down: Connection, up: Connection, truth: Connection) -> None:
+def _child(down: Connection, up: Connection, truth: Connection) -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)  # the bridge's end of the pipe decides
     with contextlib.suppress(OSError):
         os.nice(10)  # the flight goes first
     names = {number: kind.msgname for number, kind in mavlink.mavlink_map.items()}
+    try:
+        opening: Opening = pickle.loads(down.recv_bytes())
+    except (EOFError, OSError):
+        return
     try:
         recorder = Recorder(
             opening.path, opening.model, opening.metadata, opening.attachments, opening.epoch_ns, opening.with_truth,

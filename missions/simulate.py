@@ -192,13 +192,17 @@ def _child(values: Settings, status: Connection, truth: Connection) -> None:
         if values.lockstep and values.await_controller:
             pin(-1)
         status.send(Ready())
+        while not status.poll(0.1):
+            if stopped.is_set() or os.getppid() != parent:
+                return
+        status.recv()  # go
         report = server.run(lambda: stopped.is_set() or os.getppid() != parent)
         status.send(report)
     except PhysicsError as error:
         status.send(Failure(f"physics: {error} (t = {server.now_us * 1e-6:.2f} s of the vehicles' clock)"))
     except AutopilotError as error:
         status.send(Failure(str(error)))
-    except BrokenPipeError:
+    except (BrokenPipeError, EOFError):
         return
     finally:
         server.close()
@@ -214,14 +218,13 @@ class Simulator:
     def __init__(self, values: Settings, truth: Connection) -> None:
         """`truth` is where the child writes what it does; this process never reads it."""
         context = multiprocessing.get_context("spawn")
-        receive, send = context.Pipe(duplex=False)
+        self._status, other = context.Pipe()
         self.failure: str | None = None
         self.report: Report | None = None
         self._ready = threading.Event()
-        self._process = context.Process(target=_child, args=(values, send, truth), name="cablequad-sitl", daemon=True)
+        self._process = context.Process(target=_child, args=(values, other, truth), name="cablequad-sitl", daemon=True)
         self._process.start()
-        send.close()
-        self._receive = receive
+        other.close()
         self._thread = threading.Thread(target=self._drain, name="simulator", daemon=True)
         self._thread.start()
 
@@ -235,6 +238,11 @@ class Simulator:
         self.failure = self.failure or f"the simulator did not start within {START_S:.0f} s"
         return False
 
+    def go(self) -> None:
+        """Let the vehicles' clock run."""
+        with contextlib.suppress(OSError):  # it ended by itself: `failure` says so
+            self._status.send(None)
+
     def stop(self) -> None:
         """End the vehicles and take what they still had to say."""
         if self._process.is_alive():
@@ -247,7 +255,7 @@ class Simulator:
     def _drain(self) -> None:
         while True:
             try:
-                message: Status = self._receive.recv()
+                message: Status = self._status.recv()
             except (EOFError, OSError):
                 break
             match message:
