@@ -122,14 +122,14 @@ class Recorder:
 
     # -- what is to be written, in its order; `settle` writes it -------------------------------------------------------
 
-    def truths(self, boot_us: Sequence[int], held: Sequence[bool], motion: Motion) -> None:
-        """The simulator's states, a row of `motion` for each."""
-        for us, data in zip(boot_us, encode.plants(boot_us, held, motion), strict=True):
-            self.write(us, [("/plant/state", data)])
+    def truths(self, boot_us: Sequence[int], held: Sequence[bool], motion: Motion) -> list[list[Message]]:
+        """What is to be written of each of the simulator's states, for `write`; `motion` has a row for each."""
+        told: list[list[Message]] = [[("/plant/state", data)] for data in encode.plants(boot_us, held, motion)]
         due = self._drawn(boot_us)
         if due:
             for k, data in self._transforms(boot_us, due, encode.rows(motion, due)):
-                self.write(boot_us[k], [("/tf", data)])
+                told[k].append(("/tf", data))
+        return told
 
     def frames(self, boot_us: int, direction: str, frames: Sequence[tuple[int, bytes]]) -> None:
         """Frames that came in ("rx") or went out ("tx"), each with the system it came from or went to."""
@@ -142,7 +142,7 @@ class Recorder:
             put(channel, log_time, whole, True)
 
     def decided(self, d: Decisions, off: Difference | None = None, known: Sequence[int] = ()) -> list[list[Message]]:
-        """What is to be written of each decision, for `write`: its place among what was heard and said is the caller's.
+        """What is to be written of each decision, for `write`.
 
         `off` says how far the states of the rows `known` were from the true ones, where a simulator told it.
         """
@@ -161,16 +161,15 @@ class Recorder:
         return told
 
     def write(self, boot_us: int, messages: Sequence[Message]) -> None:
-        """Messages as `decided` makes them."""
+        """Messages as `truths`, `decided` and `line` make them: their place among all others is the caller's."""
         for topic, data in messages:
             self._waiting.put(self._channel(topic), self._epoch_ns + 1000 * boot_us, data)
 
-    def event(self, boot_us: int, kind: str, subject: str, text: str, room: str = "") -> None:
+    def line(self, boot_us: int, kind: str, subject: str, text: str, room: str = "") -> list[Message]:
         """Something worth a line; of the simulator's side in a `room` of its own: its order against ours is chance."""
         message = pb.Event(sim_time_ns=boot_us * 1000, kind=kind, subject=subject, text=text)
         line = encode.log_line(self._epoch_ns + boot_us * 1000, kind, subject, text)
-        rows = ((f"{room}/event", message), (f"{room}/log", line))
-        self.write(boot_us, [(topic, m.SerializeToString()) for topic, m in rows])
+        return [(f"{room}/event", message.SerializeToString()), (f"{room}/log", line.SerializeToString())]
 
     def perf(self, boot_us: int, turnaround_s: float, ticks: int, waiting: int) -> None:
         """Wall-clock figures; `waiting` records of the simulator have not been written yet."""

@@ -218,7 +218,8 @@ class _Ledger:
         self._shapes: Shapes = ()
         self._smallest_N = math.inf
         self._following = Following(target_m)
-        self._recent: list[tuple[list[int], State]] = []  # the truth that was written last
+        self._recent: list[tuple[list[int], State]] = []  # the truth that was taken in last
+        self._true: deque[tuple[int, list[Message]]] = deque()  # what is to be written of it
         self._ground = None if standing is None else OnGround(standing)
 
     def take(self, batch: Sequence[tuple]) -> None:
@@ -247,9 +248,10 @@ class _Ledger:
                 case "rx" | "tx":
                     self._recorder.frames(boot_us, kind, rest[0])
                 case "decided":
+                    self._write_truth(boot_us)
                     self._recorder.write(boot_us, next(decided))
                 case "event":
-                    self._recorder.event(boot_us, *rest)
+                    self._recorder.write(boot_us, self._recorder.line(boot_us, *rest))
                 case "perf":
                     turnaround_s, ticks = rest
                     self._recorder.perf(boot_us, turnaround_s, ticks, len(self._told))
@@ -260,7 +262,7 @@ class _Ledger:
             return []
         boot_us, samples, tension, phase, age_s = (list(column) for column in zip(*entries, strict=True))
         self._read_truth(boot_us[-1])
-        self._tell_truth(boot_us[-1])
+        self._take_in(boot_us[-1])
         d = Decisions(boot_us, take_samples(samples, self._shapes), tension, phase, age_s)
         row = {us: k for k, us in enumerate(us for times, _ in self._recent for us in times)}
         known = [k for k, us in enumerate(boot_us) if us in row]
@@ -295,7 +297,8 @@ class _Ledger:
     def end_truth(self, whole: bool) -> None:
         """Read to the end of what the simulator said."""
         self._read_truth(2**62)
-        self._tell_truth(self._answered_us if whole else 2**62)
+        self._take_in(self._answered_us if whole else 2**62)
+        self._write_truth(2**62)
         self._recorder.settle()
 
     def _read_truth(self, until_us: int) -> None:
@@ -312,7 +315,8 @@ class _Ledger:
         except (EOFError, OSError):
             self._truth = None
 
-    def _tell_truth(self, answered_us: int) -> None:
+    def _take_in(self, answered_us: int) -> None:
+        """Make what is to be written of the truth until then."""
         self._answered_us = answered_us
         self._recent = []
         states: list[Told] = []
@@ -320,28 +324,35 @@ class _Ledger:
             message = self._told.popleft()
             if isinstance(message, Told):
                 states.append(message)
-            else:
-                self._write_truth(states)
-                states = []
-                self._recorder.event(message.boot_us, f"sitl-{message.kind}", message.subject, message.text, "/plant")
-        self._write_truth(states)
+                continue
+            self._states(states)
+            states = []
+            self._line(message.boot_us, f"sitl-{message.kind}", message.subject, message.text)
+        self._states(states)
 
-    def _write_truth(self, told: Sequence[Told]) -> None:
+    def _write_truth(self, until_us: int) -> None:
+        while self._true and self._true[0][0] <= until_us:
+            self._recorder.write(*self._true.popleft())
+
+    def _line(self, boot_us: int, kind: str, subject: str, text: str) -> None:
+        self._true.append((boot_us, self._recorder.line(boot_us, kind, subject, text, "/plant")))
+
+    def _states(self, told: Sequence[Told]) -> None:
         if not told:
             return
         times, held = [t.boot_us for t in told], [t.held for t in told]
         motion = take_motions(told, *self._shape)
         self._recent.append((times, motion.state))
-        self._recorder.truths(times, held, motion)
         if self._ground is not None:
             self._ground.take(motion, self._used)
+        pull = np.where(self._used, motion.tension, np.inf)
         flown = [k for k, still in enumerate(held) if not still and not self._ended]
-        if flown:
-            pull = np.where(self._used, motion.tension[flown], np.inf)
-            self._smallest_N = min(self._smallest_N, float(pull.min()))
-            if self._slack or bool((pull < 0).any()):
-                for k, tension in zip(flown, pull, strict=True):
-                    self._tell_slack(times[k], tension)
+        self._smallest_N = min(self._smallest_N, float(pull[flown].min(initial=math.inf)))
+        loose = set(flown) if self._slack or bool((pull[flown] < 0).any()) else set()
+        for k, messages in enumerate(self._recorder.truths(times, held, motion)):
+            self._true.append((times[k], messages))
+            if k in loose:
+                self._tell_slack(times[k], pull[k])
 
     def _tell_slack(self, boot_us: int, tension: np.ndarray) -> None:
         """An event when a link of a cable begins to push, that is, the cable is slack, and when it pulls again."""
@@ -350,10 +361,10 @@ class _Ledger:
             if pushes and i not in self._slack:
                 self._slack.add(i)
                 text = f"link {link + 1} pushes with {-tension[i, link]:.2f} N: the cable is slack"
-                self._recorder.event(boot_us, "slack", f"cable {i + 1}", text, "/plant")
+                self._line(boot_us, "slack", f"cable {i + 1}", text)
             elif tension[i, link] > TAUT_N and i in self._slack:
                 self._slack.discard(i)
-                self._recorder.event(boot_us, "taut", f"cable {i + 1}", "every link pulls again", "/plant")
+                self._line(boot_us, "taut", f"cable {i + 1}", "every link pulls again")
 
 
 def _encode_once(model: Model) -> None:

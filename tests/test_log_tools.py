@@ -280,7 +280,8 @@ def test_a_full_file_system_keeps_what_was_flushed(tmp_path: Path) -> None:
         out.flush()
         assert sum(1 for e in entries(out.part) if e.topic == "/plant/state") == 10
         for k in range(1500):
-            out.truths([10**6 + 4000 * k], [False], single(motion(0.001 * k)))
+            us = 10**6 + 4000 * k
+            out.write(us, out.truths([us], [False], single(motion(0.001 * k)))[0])
             if k % 100 == 0:
                 out.flush()
         path = out.finish()

@@ -55,12 +55,12 @@ def write(path: Path, ticks: int, epoch_ns: int = recorders.EPOCH_NS) -> Recorde
         [Attachment("scenario.toml", "application/toml", b"name = 'x'")], epoch_ns, True, NAMES,
     )  # fmt: skip
     memory = first_memory(DESIGN)
-    out.event(0, "release", "all", "t = 0")
+    out.write(0, out.line(0, "release", "all", "t = 0"))
     for k in range(ticks):
         us = 4000 * k
         m = motion(0.001 * k)
         memory, sample = tick(memory, Measurement(us * 1e-6, m.state), Reference(np.zeros(3), np.zeros(3)), DESIGN)
-        out.truths([us], [False], single(m))
+        out.write(us, out.truths([us], [False], single(m))[0])
         decide(out, us, sample, difference(sample.state, motion(0.001 * k + 1e-4).state, SYSTEM.n_links))
         out.frames(us, "tx", [(1, SETPOINT[:4] + bytes([k & 255]) + SETPOINT[5:])])
         if k % 250 == 0:
@@ -242,7 +242,7 @@ from test_logs import *
 out = write(Path({str(tmp_path / "k.mcap")!r}), 200)
 print("written", flush=True)
 time.sleep(1.2)
-out.event(9_000_000, "late", "x", "y")
+out.write(9_000_000, out.line(9_000_000, "late", "x", "y"))
 out.flush()
 print("late", flush=True)
 time.sleep(60)
@@ -282,7 +282,7 @@ def test_a_full_disk_ends_the_recording_with_a_line_and_keeps_what_was_flushed(
     out.flush()
     for k in range(40):
         for _ in range(20):
-            out.truths([10**6 + 4000 * k], [False], single(motion(0.5)))
+            out.write(10**6, out.truths([10**6 + 4000 * k], [False], single(motion(0.5)))[0])
             out.frames(10**6, "tx", [(1, b"\xfe" + np.random.default_rng(k).bytes(2000))])
         out.flush()
     path = out.finish()
@@ -357,7 +357,7 @@ def test_frames_for_viewers_come_from_one_source_however_the_threads_run(tmp_pat
     state = State.hanging(SYSTEM, (0.5, 0.0, 0.0))
     _, sample = tick(memory, Measurement(0.0, state), Reference(np.zeros(3), np.zeros(3)), DESIGN)
     decide(out, 4000, sample)
-    out.truths([4000], [False], single(motion(0.25)))
+    out.write(4000, out.truths([4000], [False], single(motion(0.25)))[0])
     frames = [e for e in entries(out.finish()) if e.topic == "/tf"]
     assert len(frames) == 1
     assert np.float64(0.25).tobytes() in frames[0].data
