@@ -4,12 +4,14 @@ Messages of one recording mostly have the same layout: those of one length are l
 bytes. Where some of them are laid out otherwise they go through the protobuf library one by one.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 from google.protobuf import message_factory
 from google.protobuf.descriptor import FieldDescriptor
+
+from logs.messages import Messages
 
 _F = FieldDescriptor
 _REAL: dict[int, np.dtype[Any]] = {_F.TYPE_DOUBLE: np.dtype("<f8"), _F.TYPE_FLOAT: np.dtype("<f4")}
@@ -39,17 +41,17 @@ def flown(control: Mapping[str, np.ndarray]) -> np.ndarray:
     return (phase == "fly") | ((control["t"] > 0.0) & ~np.isin(phase, GROUNDED))
 
 
-def columns(kind: Any, messages: Sequence[bytes]) -> dict[str, np.ndarray]:
+def columns(kind: Any, messages: Messages) -> dict[str, np.ndarray]:
     """One row a message for each field of `kind` that can be a column; fields that a message leaves out are zero.
 
     Repeated numbers give (T, k); numbers (T,); texts (T,) of str. Raises ValueError for bytes that are no such message.
     """
     known = {f.number: f for f in kind.fields if f.type in _REAL or f.type in _WHOLE or f.type in _TEXT}
-    lengths = np.array([len(m) for m in messages], dtype=np.int64)
+    lengths = messages.lengths
     found: list[tuple[np.ndarray, dict[str, np.ndarray]]] = []
-    for length in np.unique(lengths):
+    for length in np.unique(lengths).tolist():
         rows = np.flatnonzero(lengths == length)
-        found += _alike(kind, known, rows, [messages[k] for k in rows.tolist()])
+        found += _alike(kind, known, rows, messages.table(rows, length))
     out: dict[str, np.ndarray] = {}
     for f in known.values():
         parts = [(rows, values[f.name]) for rows, values in found if f.name in values]
@@ -73,22 +75,22 @@ def columns(kind: Any, messages: Sequence[bytes]) -> dict[str, np.ndarray]:
 
 
 def _alike(
-    kind: Any, known: dict[int, Any], rows: np.ndarray, messages: list[bytes]
+    kind: Any, known: dict[int, Any], rows: np.ndarray, matrix: np.ndarray
 ) -> list[tuple[np.ndarray, dict[str, np.ndarray]]]:
-    """The values of messages of one length, in as many groups as there are layouts."""
+    """The values of messages of one length, a row of `matrix` each, in as many groups as there are layouts."""
     out: list[tuple[np.ndarray, dict[str, np.ndarray]]] = []
-    while len(messages):
-        matrix = np.frombuffer(b"".join(messages), np.uint8).reshape(len(messages), -1)
+    while len(matrix):
         try:
-            pieces, fixed, varying = _layout(known, messages[0])
+            pieces, fixed, varying = _layout(known, matrix[0].tobytes())
         except _Unlike:
-            return [*out, (rows, _one_by_one(kind, known, messages))]
+            return [*out, (rows, _one_by_one(kind, known, [row.tobytes() for row in matrix]))]
         same = np.all(matrix[:, fixed] == matrix[0, fixed], axis=1)
         same &= np.all((matrix[:, varying] & 128) == (matrix[0, varying] & 128), axis=1)
-        out.append((rows[same], {p.field.name: _value(p, matrix[same]) for p in pieces}))
-        rows, messages = rows[~same], [m for m, s in zip(messages, same, strict=True) if not s]
-        if len(out) > 16 and len(messages):
-            return [*out, (rows, _one_by_one(kind, known, messages))]
+        alike = matrix if same.all() else matrix[same]
+        out.append((rows[same], {p.field.name: _value(p, alike) for p in pieces}))
+        rows, matrix = rows[~same], matrix[~same]
+        if len(out) > 16 and len(matrix):
+            return [*out, (rows, _one_by_one(kind, known, [row.tobytes() for row in matrix]))]
     return out
 
 

@@ -9,9 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from logs.columns import columns
-from logs.records import Contents, Frames, LogError, guarded, is_complete, raw_records, whole_records
+from logs.messages import Messages
+from logs.records import Contents, LogError, guarded, is_complete, raw_records, whole_records
 
-__all__ = ["Frames", "Happening", "LogError", "Run", "Tail", "frame_headers", "missing_before", "read"]
+__all__ = ["Happening", "LogError", "Run", "Tail", "frame_headers", "missing_before", "read"]
 
 OWN = "cablequad."  # schemas whose topics become columns
 
@@ -36,7 +37,7 @@ class Run(NamedTuple):
     attachments: dict[str, bytes]
     columns: dict[str, dict[str, np.ndarray]]  # topic -> field -> one row a message
     events: list[Happening]
-    frames: dict[str, Frames]  # by topic
+    frames: dict[str, Messages]  # by topic: the raw MAVLink envelopes
     epoch_ns: int = 0  # log time where the vehicles' clock is zero
 
     @property
@@ -66,7 +67,7 @@ def _no_collections() -> Iterator[None]:
 def read(path: Path) -> Run:
     """The whole log, or what a truncated one holds. Raises LogError if there is nothing to read."""
     contents = Contents()
-    by_channel: dict[int, Frames] = {}
+    by_channel: dict[int, Messages] = {}
 
     def collect(file: Any) -> Iterator[None]:
         contents.gather(raw_records(file), by_channel)
@@ -89,7 +90,7 @@ class Tail:
             raise LogError(f"log {path}: {error.strerror}") from None
         self._path = path
         self._contents = Contents()
-        self._kept: dict[int, Frames] = {}
+        self._kept: dict[int, Messages] = {}
         self._at = 8
         self.ended = False
 
@@ -116,9 +117,9 @@ class Tail:
         return bool(self._kept)
 
 
-def _run(path: Path, contents: Contents, by_channel: dict[int, Frames], complete: bool) -> Run:
-    rows: dict[str, list[bytes]] = {}
-    frames: dict[str, Frames] = {}
+def _run(path: Path, contents: Contents, by_channel: dict[int, Messages], complete: bool) -> Run:
+    rows: dict[str, Messages] = {}
+    frames: dict[str, Messages] = {}
     first: dict[str, int] = {}
     for number, kept in by_channel.items():
         channel = contents.channels[number]
@@ -126,7 +127,7 @@ def _run(path: Path, contents: Contents, by_channel: dict[int, Frames], complete
         if channel.topic.startswith("/mavlink/"):
             frames[channel.topic] = kept
         elif schema is not None and schema.name.startswith(OWN):
-            rows[channel.topic], first[channel.topic] = kept.data, kept.time_ns[0]
+            rows[channel.topic], first[channel.topic] = kept, int(kept.time_ns[0])
     events: list[Happening] = []
     found: dict[str, dict[str, np.ndarray]] = {}
     for topic, messages in rows.items():
@@ -144,11 +145,9 @@ def _run(path: Path, contents: Contents, by_channel: dict[int, Frames], complete
     return Run(path, complete, contents.metadata, contents.attachments, found, events, frames, epoch_ns)
 
 
-def frame_headers(frames: Frames) -> dict[str, np.ndarray]:
+def frame_headers(frames: Messages) -> dict[str, np.ndarray]:
     """sysid, compid and seq (T,) of the frames of one topic, of either version of MAVLink."""
-    heads = np.frombuffer(b"".join([envelope[:11].ljust(11, b"\0") for envelope in frames.data]), np.uint8).reshape(
-        -1, 11
-    )
+    heads = frames.table(np.arange(len(frames)), 11)
     rows = np.arange(len(heads))
     at = np.where(heads[:, 1] > 127, 3, 2)  # behind the field's tag and length
     first = at + np.where(heads[rows, at] == 0xFD, 4, 2)

@@ -18,6 +18,9 @@ from mcap.reader import make_reader
 from mcap.records import Attachment, Channel, Chunk, Message, Metadata, Schema
 from mcap.stream_reader import get_chunk_data_stream
 
+from cablequad.types import Counts
+from logs.messages import Messages
+
 _RECORD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
 _WHOLE = struct.Struct("<BQHIQQ")  # both in one
@@ -42,13 +45,6 @@ class Entry(NamedTuple):
     data: bytes
     schema: str = ""
     publish_time: int = 0  # ns, wall clock
-
-
-class Frames(NamedTuple):
-    """The raw MAVLink envelopes of one topic."""
-
-    time_ns: list[int]  # log time less the epoch is the vehicles' clock
-    data: list[bytes]
 
 
 def guarded(path: Path, read: Callable[[Any], Iterator[Any]]) -> Iterator[Any]:
@@ -149,34 +145,27 @@ class Contents:
                 case Attachment():
                     self.attachments[record.name] = record.data
 
-    def collect(self, records: Iterable[Any], into: dict[int, Frames]) -> None:
+    def collect(self, records: Iterable[Any], into: dict[int, Messages]) -> None:
         """The messages of `records` by channel, without an object for each; everything else is kept here."""
         for record in records:
             if not isinstance(record, Chunk):
                 for entry in self.entries([record]):
                     channel = next(c.id for c in self.channels.values() if c.topic == entry.topic)
-                    kept = self._kept(into, channel)
-                    kept.time_ns.append(entry.log_time)
-                    kept.data.append(entry.data)
+                    self._kept(into, channel).put(entry.log_time, entry.data)
                 continue
             stream, size = get_chunk_data_stream(record, validate_crc=True)
-            data, at, append = stream.read(size), 0, {}
+            data, at = stream.read(size), 0
             while at < size:
                 if data[at] == Opcode.MESSAGE:
                     _, length, channel, _, log_time, _ = _WHOLE.unpack_from(data, at)
-                    if channel not in append:
-                        kept = self._kept(into, channel)
-                        append[channel] = (kept.time_ns.append, kept.data.append)
-                    time, body = append[channel]
-                    time(log_time)
-                    body(data[at + 31 : at + 9 + length])
+                    self._kept(into, channel).put(log_time, data[at + 31 : at + 9 + length])
                 else:
                     opcode, length = _RECORD.unpack_from(data, at)
                     if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                         self.collect([_parsed(opcode, data[at + 9 : at + 9 + length])], into)
                 at += 9 + length
 
-    def gather(self, records: Iterable[tuple[int, bytes]], into: dict[int, Frames]) -> None:
+    def gather(self, records: Iterable[tuple[int, bytes]], into: dict[int, Messages]) -> None:
         """As `collect`, of unread records with the indexes of chunks among them, which say where messages stand."""
         coming: deque[tuple[Chunk, Future[bytes], list[bytes]]] = deque()  # chunks, oldest first, with their indexes
         with ThreadPoolExecutor(1) as beside:  # decompression leaves the interpreter to us
@@ -193,12 +182,12 @@ class Contents:
             while coming:
                 self._take(*coming.popleft(), into)
 
-    def _take(self, chunk: Chunk, unpacked: Future[bytes], indexes: list[bytes], into: dict[int, Frames]) -> None:
+    def _take(self, chunk: Chunk, unpacked: Future[bytes], indexes: list[bytes], into: dict[int, Messages]) -> None:
         """A chunk by its indexes where they name all that is in it, else record by record."""
         data = unpacked.result()
         size = len(data)
         raw, named = np.frombuffer(data, np.uint8), 0
-        found: list[tuple[int, list[int], list[bytes]]] = []
+        found: list[tuple[int, Counts, Counts, Counts]] = []
         for index in indexes:
             entries = np.frombuffer(index, _INDEX, offset=6)
             starts = entries["offset"].astype(np.int64)
@@ -206,21 +195,18 @@ class Contents:
                 continue
             lengths = raw[starts[:, None] + _LENGTH].copy().view("<u8").ravel().astype(np.int64)
             named += int(lengths.sum()) + 9 * len(starts)
-            spans = zip((starts + 31).tolist(), (starts + 9 + lengths).tolist(), strict=True)
             channel = int.from_bytes(index[:2], "little")
-            found.append((channel, entries["time"].tolist(), [data[a:b] for a, b in spans]))
-        if named != size or any(channel not in self.channels for channel, _, _ in found):
+            found.append((channel, starts + 31, starts + 9 + lengths, entries["time"].astype(np.int64)))
+        if named != size or any(channel not in self.channels for channel, *_ in found):
             self.collect([chunk], into)
             return
-        for channel, times, bodies in found:
-            kept = self._kept(into, channel)
-            kept.time_ns.extend(times)
-            kept.data.extend(bodies)
+        for channel, begins, ends, times in found:
+            self._kept(into, channel).put_block(data, begins, ends, times)
 
-    def _kept(self, into: dict[int, Frames], channel: int) -> Frames:
+    def _kept(self, into: dict[int, Messages], channel: int) -> Messages:
         if channel not in self.channels:
             raise KeyError(channel)
-        return into.setdefault(channel, Frames([], []))
+        return into.setdefault(channel, Messages())
 
     def _walk(self, data: bytes) -> Iterator[Entry]:
         at, end = 0, len(data)

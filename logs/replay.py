@@ -269,10 +269,10 @@ def _wire(out: rr.RecordingStream, run: Run) -> None:
     """What the links lost: frames missing by their sequence numbers, each second, of every sender."""
     for topic, frames in sorted(run.frames.items()):
         who, direction = topic.split("/")[2:4]
-        if direction != "rx" or len(frames.data) < 2:
+        if direction != "rx" or len(frames) < 2:
             continue
         head = frame_headers(frames)
-        ns = np.array(frames.time_ns) - run.epoch_ns
+        ns = frames.time_ns - run.epoch_ns
         second = (ns - run.release_ns) // 10**9
         missing = np.zeros(len(ns))
         for sender in np.unique(head["sysid"] * 256 + head["compid"]):

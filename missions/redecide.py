@@ -22,6 +22,7 @@ from cablequad.pilot import Measurement, first_memory, tick
 from cablequad.trajectory import at
 from logs import encode
 from logs.columns import columns
+from logs.messages import Messages
 from logs.reader import LogError, read
 from logs.records import entries
 from logs.schema import cablequad_pb2 as pb
@@ -178,7 +179,7 @@ def _value(f: Any) -> Any:
 
 
 def _compared(was: Mapping[str, np.ndarray], after: list[bytes]) -> Redecided:
-    now = columns(pb.ControlState.DESCRIPTOR, after)
+    now = columns(pb.ControlState.DESCRIPTOR, Messages(after))
     first: Divergence | None = None
     largest = {}
     for name in DECISION:

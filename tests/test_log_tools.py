@@ -22,6 +22,7 @@ from logs import figures, page, replay, video
 from logs.columns import columns
 from logs.encode import single
 from logs.inspect import check, info, lost
+from logs.messages import Messages
 from logs.motion import motion_of
 from logs.reader import LogError, Run, missing_before, read
 from logs.records import entries
@@ -168,7 +169,7 @@ def test_every_message_decodes_by_the_schema_in_the_file_alone() -> None:
 def test_fields_of_a_later_schema_are_passed_over() -> None:
     later = pb.PlantState(sim_time_ns=5, step=3, tension=[1.0, 2.0]).SerializeToString()
     unknown = b"\xfa\x06\x03abc" + b"\xf0\x06\x07"  # fields 111 (bytes) and 110 (varint)
-    out = columns(pb.PlantState.DESCRIPTOR, [later, later + unknown])
+    out = columns(pb.PlantState.DESCRIPTOR, Messages([later, later + unknown]))
     np.testing.assert_array_equal(out["sim_time_ns"], [5, 5])
     np.testing.assert_array_equal(out["tension"], [[1, 2], [1, 2]])
 
@@ -184,7 +185,7 @@ def test_columns_are_those_of_the_protobuf_library() -> None:
         )
         for _ in range(400)
     ]  # fmt: skip
-    out = columns(pb.ControlState.DESCRIPTOR, [m.SerializeToString() for m in messages])
+    out = columns(pb.ControlState.DESCRIPTOR, Messages([m.SerializeToString() for m in messages]))
     for k, m in enumerate(messages):
         assert out["sim_time_ns"][k] == m.sim_time_ns
         assert out["t"][k] == m.t
@@ -223,7 +224,7 @@ def test_tlogs_are_read_by_pymavlink_without_bad_data(case_2: Run, tmp_path: Pat
         assert "BAD_DATA" not in kinds
         assert stamps == sorted(stamps)
         who = path.stem.removeprefix(f"{CASE_2.stem}-")
-        there = sum(len(case_2.frames[t].data) for t in case_2.frames if t.split("/")[2] == who)
+        there = sum(len(case_2.frames[t]) for t in case_2.frames if t.split("/")[2] == who)
         assert len(kinds) == there
         if who != "payload":
             assert {"HEARTBEAT", "SET_ATTITUDE_TARGET", "ATTITUDE_QUATERNION"} <= set(kinds)

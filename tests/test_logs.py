@@ -27,6 +27,7 @@ from cablequad.system import System
 from cablequad.trajectory import Reference
 from logs import recorder as recorders
 from logs.encode import Model, Motion, single
+from logs.messages import Messages
 from logs.motion import motion_of
 from logs.reader import LogError, read
 from logs.recorder import Attachment, Decisions, Recorder, RecorderError
@@ -186,6 +187,29 @@ def test_chunks_end_where_enough_was_written_and_their_indexes_find_every_messag
     assert summary.statistics.channel_message_counts == dict.fromkeys(channels, 250)
     read_back = [(m.channel_id, m.log_time, m.data) for _, _, m in reader.iter_messages()]
     assert read_back == sorted(written, key=lambda row: row[1])
+
+
+@given(st.lists(st.lists(st.binary(min_size=1, max_size=30), min_size=1, max_size=4), max_size=4), st.booleans())
+def test_messages_are_the_same_wherever_they_stand(parts: list[list[bytes]], loose: bool) -> None:
+    messages, bodies = Messages(), []
+    for part in parts:
+        ends = np.cumsum([2 + len(body) for body in part])
+        starts = ends - [len(body) for body in part]
+        times = np.arange(len(bodies), len(bodies) + len(part))
+        if loose:
+            for k, body in zip(times.tolist(), part, strict=True):
+                messages.put(k, body)
+        else:
+            messages.put_block(b"".join(b"??" + body for body in part), starts, ends, times)
+        loose, bodies = not loose, bodies + part
+    assert len(messages) == len(bodies)
+    assert messages.data == bodies
+    assert messages.time_ns.tolist() == list(range(len(bodies)))
+    for length in {len(body) for body in bodies}:
+        rows = np.flatnonzero(messages.lengths == length)
+        assert [row.tobytes() for row in messages.table(rows, length)] == [bodies[k] for k in rows]
+    first = messages.table(np.arange(len(bodies)), 40)
+    assert [row.tobytes()[: len(body)] for row, body in zip(first, bodies, strict=True)] == bodies
 
 
 def test_the_mcap_librarys_own_reader_takes_it_and_finds_every_topic(tmp_path: Path) -> None:
