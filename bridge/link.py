@@ -19,6 +19,7 @@ __all__ = ["Address", "Counters", "Endpoint", "Link", "LinkError", "Received", "
 
 GRACE_S = 0.002
 DATAGRAM_BYTES = 1400  # fits every network
+MOST_ROUNDS = 512  # a flood must not keep the loop from its own work
 
 
 class Received(NamedTuple):
@@ -103,16 +104,22 @@ class Link:
         for port in self.ports:
             port.tend(now)
         out: list[Received] = []
-        for key, _ in self._selector.select(max(0.0, timeout)):
-            index = int(key.data)
-            ready = key.fileobj
-            assert isinstance(ready, socket.socket)
-            port = self.ports[index]
-            for address, data in port.receive(ready, now):
-                frames = self._split(index, address, data)
-                if frames:
-                    port.learn(address)
-                    out += frames
+        ready = self._selector.select(max(0.0, timeout))
+        rounds = 0
+        while ready and rounds < MOST_ROUNDS:
+            for key, _ in ready:
+                index = int(key.data)
+                read_from = key.fileobj
+                assert isinstance(read_from, socket.socket)
+                port = self.ports[index]
+                for address, data in port.receive(read_from):
+                    frames = self._split(index, address, data)
+                    if frames:
+                        port.learn(address)
+                        out += frames
+            # asking once whether there is more costs less than being told by every socket that there is none
+            ready = self._selector.select(0.0)
+            rounds += 1
         return out
 
     def send(self, port: int, system: int, component: int, message: Packed, to: Address | None = None) -> Sent:

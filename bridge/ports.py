@@ -71,18 +71,14 @@ class DatagramPort:
         bind(self.socket, here, "udp")
         watch.register(self.socket, selectors.EVENT_READ, index)
 
-    def receive(self, ready: socket.socket, now: float) -> list[tuple[Address, bytes]]:
-        """Datagrams that wait, each whole by itself."""
-        del ready, now
-        out: list[tuple[Address, bytes]] = []
-        while True:
-            try:
-                datagram, address = self.socket.recvfrom(65536)
-            except (BlockingIOError, ConnectionRefusedError):
-                return out
-            out.append((address, datagram))
-            if len(out) >= 512:  # a flood must not keep the loop from its own work
-                return out
+    def receive(self, ready: socket.socket) -> list[tuple[Address, bytes]]:
+        """The datagram that waited longest, whole by itself."""
+        del ready
+        try:
+            datagram, address = self.socket.recvfrom(65536)
+        except (BlockingIOError, ConnectionRefusedError):
+            return []
+        return [(address, datagram)]
 
     def learn(self, address: Address) -> None:
         """Remember who spoke to us."""
@@ -160,9 +156,8 @@ class StreamPort:
             return
         self._take(client, self.endpoint.peer)
 
-    def receive(self, ready: socket.socket, now: float) -> list[tuple[Address, bytes]]:
+    def receive(self, ready: socket.socket) -> list[tuple[Address, bytes]]:
         """What has come in, cut at the end of the last whole frame; a client that left is forgotten."""
-        del now
         if ready is self._listener:
             try:
                 client, address = self._listener.accept()

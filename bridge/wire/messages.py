@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from bridge.wire.dialect import CABLE_STATE, Message, mavlink
-from bridge.wire.frames import Packed, frame, pack, packed, payload_of, unpack
+from bridge.wire.frames import Packed, frame, pack, packed, payload_of
 from bridge.wire.values import (
     AttitudeTarget,
     Battery,
@@ -47,13 +47,13 @@ LINKS_PER_FRAME = 10
 TEXT_BYTES = 50
 ATTITUDE_AND_THRUST = 7  # type mask: body rates ignored
 
-Fields = tuple[Any, ...]  # of a message in wire order, arrays flat
-
 _UNKNOWN = [math.nan] + [0.0] * 20  # a covariance
 _ATTITUDE = mavlink.MAVLink_attitude_quaternion_message
 _POSITION = mavlink.MAVLink_local_position_ned_message
 _ODOMETRY = mavlink.MAVLink_odometry_message
 _TARGET = mavlink.MAVLink_set_attitude_target_message
+_CABLE_HEAD = struct.Struct("<QfBBB")  # before the links
+_ODOMETRY_FRAME = struct.calcsize("<Q55f")  # where its frame_id stands, behind the numbers
 
 
 class WireError(ValueError):
@@ -112,16 +112,18 @@ def _attitude(v: VehicleAttitude) -> Packed:
     return pack(_ATTITUDE, v.boot_ms, *lie.quat_from_rotation(v.R).tolist(), *v.Omega.tolist(), 0.0, 0.0, 0.0, 0.0)
 
 
-def _read_attitude(f: Fields) -> VehicleAttitude:
-    return VehicleAttitude(f[0], lie.rotation_from_quat(np.array(f[1:5])), np.array(f[5:8]))
+def _read_attitude(p: bytes) -> VehicleAttitude:
+    a = _floats(p, 4, 7)
+    return VehicleAttitude(_whole(p, 4), lie.rotation_from_quat(a[:4]), a[4:])
 
 
 def _position(v: VehiclePosition) -> Packed:
     return pack(_POSITION, v.boot_ms, *v.x.tolist(), *v.v.tolist())
 
 
-def _read_position(f: Fields) -> VehiclePosition:
-    return VehiclePosition(f[0], np.array(f[1:4]), np.array(f[4:7]))
+def _read_position(p: bytes) -> VehiclePosition:
+    a = _floats(p, 4, 6)
+    return VehiclePosition(_whole(p, 4), a[:3], a[3:])
 
 
 def odometry(boot_us: int, x: Array, v: Array, R: Array, Omega: Array, child: int, estimator: int) -> Packed:
@@ -137,11 +139,12 @@ def _payload(v: PayloadState) -> Packed:
     return odometry(v.boot_us, v.x0, v.v0, v.R0, v.Omega0, child, estimator)
 
 
-def _read_payload(f: Fields) -> PayloadState | None:
-    if f[56] != mavlink.MAV_FRAME_LOCAL_NED:
+def _read_payload(p: bytes) -> PayloadState | None:
+    if p[_ODOMETRY_FRAME] != mavlink.MAV_FRAME_LOCAL_NED:
         return None
-    R0 = lie.rotation_from_quat(np.array(f[4:8]))
-    return PayloadState(f[0], np.array(f[1:4]), R0 @ np.array(f[8:11]), R0, np.array(f[11:14]))
+    a = _floats(p, 8, 13)
+    R0 = lie.rotation_from_quat(a[3:7])
+    return PayloadState(_whole(p, 8), a[:3], R0 @ a[7:10], R0, a[10:])
 
 
 def _cable(v: CableShape) -> Packed:
@@ -150,10 +153,10 @@ def _cable(v: CableShape) -> Packed:
     return pack(CABLE_STATE, v.boot_us, v.tension_N, v.cable, v.n_links, v.first_link, *links, *spare)
 
 
-def _read_cable(f: Fields) -> CableShape:
-    boot_us, tension, cable, n_links, first = f[:5]
+def _read_cable(p: bytes) -> CableShape:
+    boot_us, tension, cable, n_links, first = _CABLE_HEAD.unpack_from(p)
     k = max(0, min(LINKS_PER_FRAME, n_links - first))
-    links = np.array(f[5 : 5 + 6 * k]).reshape(k, 6)
+    links = _floats(p, _CABLE_HEAD.size, 6 * k).reshape(k, 6)
     return CableShape(boot_us, cable, n_links, first, tension, links[:, :3], links[:, 3:])
 
 
@@ -161,8 +164,17 @@ def _target(v: AttitudeTarget) -> Packed:
     return pack(_TARGET, v.boot_ms, *v.quat_wxyz, *v.rates, v.thrust, v.system, v.component, v.type_mask)
 
 
-def _read_target(f: Fields) -> AttitudeTarget:
+def _read_target(p: bytes) -> AttitudeTarget:
+    f = _TARGET.unpacker.unpack(p)
     return AttitudeTarget(f[0], f[9], f[10], f[11], f[1:5], f[5:8], f[8])
+
+
+def _floats(payload: bytes, at: int, count: int) -> Array:
+    return np.frombuffer(payload, "<f4", count, at).astype(float)
+
+
+def _whole(payload: bytes, size: int) -> int:
+    return int.from_bytes(payload[:size], "little")
 
 
 def _command(v: Command) -> Message:
@@ -374,7 +386,7 @@ _PAIRS: list[tuple[type, int, Callable[[Any], Message], Callable[[Message], Any]
     (MissionCount, mavlink.MAVLINK_MSG_ID_MISSION_COUNT, _mission_count, _read_mission_count),
     (ServerVersion, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION, _version, _read_version),
 ]
-_HOT: list[tuple[type, type, Callable[[Any], Packed], Callable[[Fields], Any]]] = [
+_HOT: list[tuple[type, type, Callable[[Any], Packed], Callable[[bytes], Any]]] = [
     (VehicleAttitude, _ATTITUDE, _attitude, _read_attitude),
     (VehiclePosition, _POSITION, _position, _read_position),
     (PayloadState, _ODOMETRY, _payload, _read_payload),
@@ -382,7 +394,10 @@ _HOT: list[tuple[type, type, Callable[[Any], Packed], Callable[[Fields], Any]]] 
     (AttitudeTarget, _TARGET, _target, _read_target),
 ]  # many times a tick: straight between values and bytes; the others go through pymavlink's objects
 _ENCODE_HOT = {value: write for value, _, write, _ in _HOT}
-_DECODE_HOT: dict[int, tuple[Any, Callable[[Fields], Any]]] = {kind.id: (kind, read) for _, kind, _, read in _HOT}  # type: ignore[attr-defined]
+_DECODE_HOT: dict[int, tuple[int, Callable[[bytes], Any]]] = {
+    kind.id: (kind.unpacker.size, read)  # type: ignore[attr-defined]
+    for _, kind, _, read in _HOT
+}
 _ENCODE: dict[type, Callable[[Any], Message]] = {kind: write for kind, _, write, _ in _PAIRS}
 _ENCODE |= {
     MissionAck: _mission_ack,
@@ -418,8 +433,9 @@ def decode(msgid: int, whole: bytes) -> Any:
     """
     hot = _DECODE_HOT.get(msgid)
     if hot is not None:
-        kind, read_fields = hot
-        return read_fields(unpack(kind, payload_of(whole)))
+        size, read_payload = hot
+        payload = payload_of(whole)  # what was cut counts as zeros, what is unknown is left out
+        return read_payload(payload if len(payload) == size else payload[:size].ljust(size, b"\0"))
     read = _DECODE.get(msgid)
     return None if read is None else read(_codec.decode(bytearray(whole)))
 
