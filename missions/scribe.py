@@ -36,6 +36,7 @@ from sitl.settings import Event
 
 PIPE_BYTES = 1 << 20  # what may wait for the scribe before the control loop does
 TOGETHER = 16  # decisions in one write, as a wake-up of the scribe costs more than what it is told
+WAIT_S = 0.06  # wall clock, that a decision waits for others at most
 AT_ONCE = 512  # entries that are written together, which costs less for each
 BATCH = 128  # entries that wait at most, where no tick is answered
 TRUTH_WAIT_S = 1.0  # the simulator says what it did right after it spoke; longer means that it has ended
@@ -86,7 +87,7 @@ class Scribe:
         self.error: str | None = None
         self._batch: list[tuple] = []
         self._shapes_told = False
-        self._decisions = 0
+        self._decisions, self._flushed = 0, time.monotonic()  # since then
         self._path = Path()
         self._process = context.Process(target=_child, args=(down, up, truth), name="cablequad-scribe", daemon=True)
         self._process.start()
@@ -121,7 +122,7 @@ class Scribe:
             self._put("shapes", boot_us, sample_shapes(sample))
         self._put("decided", boot_us, put_sample(sample), tension, phase, age_s)
         self._decisions += 1
-        if self._decisions % TOGETHER == 0:
+        if self._decisions >= TOGETHER or time.monotonic() > self._flushed + WAIT_S:
             self.flush()
 
     def event(self, boot_us: int, kind: str, subject: str, text: str) -> None:
@@ -138,6 +139,7 @@ class Scribe:
     def flush(self) -> None:
         """Hand over what waits."""
         batch, self._batch = self._batch, []
+        self._decisions, self._flushed = 0, time.monotonic()
         if batch and self.error is None:
             self._send(batch)
 

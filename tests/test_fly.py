@@ -2,6 +2,8 @@
 
 import json
 import math
+import os
+import signal
 import socket
 import subprocess
 import sys
@@ -14,7 +16,10 @@ import pytest
 from conftest import Command, cablequad, flown, next_offset, wait_for_line
 from mcap.reader import make_reader
 
+from bridge.link import Endpoint, Link
+from bridge.ports import GROUND_PORT
 from bridge.wire.dialect import mavlink
+from bridge.wire.values import VehicleAttitude
 from cablequad.rollout import Timing, rollout
 from cablequad.trajectory import at
 from logs.reader import read
@@ -336,6 +341,34 @@ def test_a_simulator_that_dies_ends_the_run_with_a_complete_log(tmp_path: Path, 
     assert code == 1
     assert "silent since t =" in summary["reason"]
     assert read(Path(summary["log"])).complete
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="looks for a process's children in /proc")
+@pytest.mark.parametrize("name", ["paper-case-1", "paper-case-1-50hz"])
+def test_a_run_that_is_killed_with_all_its_processes_keeps_all_but_half_a_second(
+    name: str, tmp_path: Path, offset: int
+) -> None:
+    """A ground station hears how far the flight had come."""
+    arguments = ("--speed", "1", "--no-replay", "--duration", "60", "--out", str(tmp_path))
+    fly = Command("fly", name, *arguments, "--port-offset", str(offset))
+    ground = Link([Endpoint(("127.0.0.1", GROUND_PORT + offset), None)])
+    heard_ms, until = 0, time.monotonic() + 60
+    try:
+        while heard_ms < 7000 and time.monotonic() < until:
+            told = [f.value.boot_ms for f in ground.poll(0.1) if isinstance(f.value, VehicleAttitude)]
+            heard_ms = max([heard_ms, *told])
+        everyone = Path(f"/proc/{fly.process.pid}/task/{fly.process.pid}/children").read_text().split()
+        for pid in (*map(int, everyone), fly.process.pid):
+            os.kill(pid, signal.SIGKILL)
+        told = [f.value.boot_ms for f in ground.poll(0.0) if isinstance(f.value, VehicleAttitude)]
+        heard_ms = max([heard_ms, *told])
+    finally:
+        ground.close()
+    assert heard_ms >= 7000
+    assert len(everyone) >= 2
+    (log,) = tmp_path.glob("*.mcap.part")
+    kept = read(log).columns["/control/state"]["sim_time_ns"][-1] * 1e-9
+    assert heard_ms * 1e-3 - kept <= 0.5
 
 
 def test_replay_saves_an_rrd_also_from_a_cut_log(case_1: dict, tmp_path: Path) -> None:
