@@ -9,7 +9,8 @@ PROTO = HERE.parent / "logs" / "schema" / "cablequad.proto"
 HEAD = """# The log
 
 One run is one MCAP file, zstd in chunks of 512 KiB, protobuf with the schema inside. Written as `NAME.mcap.part` and
-renamed at the end; flushed every half second, so a killed run loses no more. log_time is the scenario's epoch plus the
+renamed at the end; closed in chunks every 0.4 s, so that a run of which all processes are killed loses half a second at
+most. log_time is the scenario's epoch plus the
 vehicles' clock; publish_time is the wall clock. Two runs of one scenario and seed in lockstep have equal (topic, log_time,
 data), `/perf` aside.
 
