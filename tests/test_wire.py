@@ -323,3 +323,16 @@ class TestLink:
         assert len(server.ports[0].addresses()) == 1
         client.close()
         server.close()
+
+
+def test_the_benchmark_times_calls_that_there_are(offset: int) -> None:
+    """It wraps them by name, and nothing else would notice one that was moved."""
+    from benchmarks.wire import BRIDGE, VEHICLES, timed
+
+    assert all(callable(getattr(where, name)) for where, name, _ in [*BRIDGE, *VEHICLES])
+    link = Link([Endpoint(("127.0.0.1", 14900 + offset), None)])
+    with timed(BRIDGE) as spent:
+        link.poll(0.0)
+        link.flush()
+    link.close()
+    assert set(spent) == {"socket and wait", "socket"}
