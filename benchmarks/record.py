@@ -118,8 +118,8 @@ def libraries(log: Path) -> dict[str, float]:
             rows = serialized(pb.PlantState, len(together), columns)
             waiting = Waiting()
             for j, data in enumerate(rows):
-                waiting.put(channel, k + j, data)
-            writer.add_messages(waiting, k)
+                waiting.put("/x", k + j, data)
+            writer.add_messages(waiting, {"/x": channel}, k)
 
     def by_library() -> None:
         writer = Writer(io.BytesIO(), chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)

@@ -95,7 +95,7 @@ class Recorder:
         self._model = model
         self._epoch_ns = epoch_ns
         self._channels: dict[str, int] = {}
-        self._rooms: dict[tuple[str, int], int] = {}  # channels of frames by direction and the other system
+        self._rooms: dict[tuple[str, int], str] = {}  # topics of frames by direction and the other system
         self._waiting = Waiting()
         self._last_tf_ns = -TF_NS
         self._first = True  # of these
@@ -135,11 +135,11 @@ class Recorder:
         """Frames that came in ("rx") or went out ("tx"), each with the system it came from or went to."""
         log_time, put = self._epoch_ns + 1000 * boot_us, self._waiting.put
         for other, whole in frames:
-            channel = self._rooms.get((direction, other))
-            if channel is None:
+            topic = self._rooms.get((direction, other))
+            if topic is None:
                 who = "payload" if other == TRACKER else f"quad{other}"
-                channel = self._rooms[direction, other] = self._channel(f"/mavlink/{who}/{direction}")
-            put(channel, log_time, whole, True)
+                topic = self._rooms[direction, other] = f"/mavlink/{who}/{direction}"
+            put(topic, log_time, whole, True)
 
     def decided(self, d: Decisions, off: Difference | None = None, known: Sequence[int] = ()) -> list[list[Message]]:
         """What is to be written of each decision, for `write`.
@@ -163,7 +163,7 @@ class Recorder:
     def write(self, boot_us: int, messages: Sequence[Message]) -> None:
         """Messages as `truths`, `decided` and `line` make them: their place among all others is the caller's."""
         for topic, data in messages:
-            self._waiting.put(self._channel(topic), self._epoch_ns + 1000 * boot_us, data)
+            self._waiting.put(topic, self._epoch_ns + 1000 * boot_us, data)
 
     def line(self, boot_us: int, kind: str, subject: str, text: str, room: str = "") -> list[Message]:
         """Something worth a line; of the simulator's side in a `room` of its own: its order against ours is chance."""
@@ -185,7 +185,8 @@ class Recorder:
 
     def settle(self) -> None:
         """Put what waits into the open chunk."""
-        self._attempt(self._settle)
+        waiting, self._waiting = self._waiting, Waiting()
+        self._attempt(lambda: self._settle(waiting))
 
     def flush(self) -> None:
         """Close the chunk: what was given until now is kept, whatever happens. To be called every `FLUSH_S`."""
@@ -216,9 +217,11 @@ class Recorder:
             except OSError as error:
                 self._give_up(error)
 
-    def _settle(self) -> None:
-        waiting, self._waiting = self._waiting, Waiting()
-        self._writer.add_messages(waiting, time.time_ns())
+    def _settle(self, waiting: Waiting) -> None:
+        for topic in dict.fromkeys(waiting.topics):
+            if topic not in self._channels:
+                self._channels[topic] = self._registered(topic)
+        self._writer.add_messages(waiting, self._channels, time.time_ns())
 
     def _flush(self) -> None:
         self._writer.flush()  # type: ignore[no-untyped-call]
@@ -242,15 +245,12 @@ class Recorder:
         os.ftruncate(descriptor, self._good_offset)
         os.close(descriptor)
 
-    def _channel(self, topic: str) -> int:
-        channel = self._channels.get(topic)
-        if channel is None:
-            kind = _TYPES.get(topic, pb.MavlinkFrame)
-            schema = self._writer.register_schema(
-                kind.DESCRIPTOR.full_name, "protobuf", build_file_descriptor_set(kind).SerializeToString()
-            )
-            channel = self._channels[topic] = self._writer.register_channel(topic, "protobuf", schema)
-        return channel
+    def _registered(self, topic: str) -> int:
+        kind = _TYPES.get(topic, pb.MavlinkFrame)
+        schema = self._writer.register_schema(
+            kind.DESCRIPTOR.full_name, "protobuf", build_file_descriptor_set(kind).SerializeToString()
+        )
+        return self._writer.register_channel(topic, "protobuf", schema)
 
     def _drawn(self, boot_us: Sequence[int]) -> list[int]:
         """Which of these instants have frames for viewers."""

@@ -17,6 +17,7 @@ from mcap.opcode import Opcode
 from mcap.records import MessageIndex, Statistics
 from mcap.writer import CompressionType, Writer
 
+from cablequad.types import Counts
 from logs import layout
 
 _KEPT = np.int64(-1 << 16)  # of a double's bits in arrays: to 1.5e-11 of it, which takes a fifth less room
@@ -131,14 +132,14 @@ class Waiting:
 
     def __init__(self) -> None:
         self.bodies: list[bytes] = []
-        self.channels: list[int] = []
+        self.topics: list[str] = []
         self.log_times: list[int] = []
         self.enveloped: list[bool] = []
 
-    def put(self, channel: int, log_time: int, body: bytes, enveloped: bool = False) -> None:
+    def put(self, topic: str, log_time: int, body: bytes, enveloped: bool = False) -> None:
         """One more; a MAVLink frame may be given bare, to be `enveloped` as a cablequad.MavlinkFrame."""
         self.bodies.append(body)
-        self.channels.append(channel)
+        self.topics.append(topic)
         self.log_times.append(log_time)
         self.enveloped.append(enveloped)
 
@@ -189,11 +190,11 @@ class Chunks(ChunkBuilder):
         self._added = []
         super().reset()  # type: ignore[no-untyped-call]
 
-    def add_all(self, waiting: Waiting, publish_time: int, names: Names) -> None:
-        """Put messages behind those that are there."""
+    def add_all(self, waiting: Waiting, channels: Counts, publish_time: int, names: Names) -> None:
+        """Put messages of `channels` (k,) behind those that are there."""
         data = np.frombuffer(b"".join(waiting.bodies), np.uint8)
         ends = np.cumsum(np.fromiter(map(len, waiting.bodies), np.int64, len(waiting.bodies)))
-        channels, times = np.array(waiting.channels, np.int64), np.array(waiting.log_times, np.int64)
+        times = np.array(waiting.log_times, np.int64)
         enveloped = np.array(waiting.enveloped, np.int64)
         out = np.empty(len(data) + len(ends) * (layout.HEAD + layout.ENVELOPE + names.longest), np.uint8)
         begins = layout.records(
@@ -220,8 +221,11 @@ class LogWriter(Writer):
         self._most = chunk_size
         self._names = Names(names or {})
 
-    def add_messages(self, waiting: Waiting, publish_time: int) -> None:
-        """As the library's `add_message` of each, which makes an object of every one; a chunk ends where this does."""
+    def add_messages(self, waiting: Waiting, channels: Mapping[str, int], publish_time: int) -> None:
+        """As the library's `add_message` of each, which makes an object of every one; a chunk ends where this does.
+
+        `channels` are the registered ones by topic.
+        """
         if not waiting.bodies:
             return
         s, chunks = self._Writer__statistics, self._Writer__chunk_builder
@@ -229,8 +233,9 @@ class LogWriter(Writer):
         s.message_start_time = first if s.message_count == 0 else min(s.message_start_time, first)
         s.message_end_time = max(s.message_end_time, last)
         s.message_count += len(waiting.bodies)
-        for channel, count in Counter(waiting.channels).items():
+        numbers = [channels[topic] for topic in waiting.topics]
+        for channel, count in Counter(numbers).items():
             s.channel_message_counts[channel] += count
-        chunks.add_all(waiting, publish_time, self._names)
+        chunks.add_all(waiting, np.array(numbers, np.int64), publish_time, self._names)
         if chunks.record_writer._buffer.tell() >= self._most:
             self.flush()  # type: ignore[no-untyped-call]

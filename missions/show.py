@@ -5,6 +5,8 @@ import os
 import signal
 from pathlib import Path
 
+from missions.children import begin
+
 
 def _child(part: Path, parent: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -22,7 +24,7 @@ class Show:
         part = log.with_name(log.name + ".part")
         context = multiprocessing.get_context("spawn")
         self._process = context.Process(target=_child, args=(part, os.getpid()), name="cablequad-live", daemon=True)
-        self._process.start()
+        begin(self._process)
 
     def close(self) -> None:
         """Wait until what was flown is shown, for a while."""

@@ -19,6 +19,7 @@ from bridge.wire.earth import Home
 from cablequad.noise import Biases
 from missions import scenario as scenarios
 from missions.channel import Failure, Ready, Status, put
+from missions.children import begin
 from missions.scenario import Flight, ScenarioError
 from missions.tables import BarometerTable, FailureTable, GpsTable, ImuTable, MagnetometerTable, SensorsTable
 from sitl.batteries import Battery
@@ -223,7 +224,7 @@ class Simulator:
         self.report: Report | None = None
         self._ready = threading.Event()
         self._process = context.Process(target=_child, args=(values, other, truth), name="cablequad-sitl", daemon=True)
-        self._process.start()
+        begin(self._process)
         other.close()
         self._thread = threading.Thread(target=self._drain, name="simulator", daemon=True)
         self._thread.start()

@@ -1,5 +1,6 @@
 """What the tests share: random systems and states, a place among the ports, the command line."""
 
+import contextlib
 import itertools
 import json
 import os
@@ -103,6 +104,7 @@ class Command:
             stderr=subprocess.PIPE,
             text=True,
             cwd=cwd,
+            start_new_session=True,  # a group of its own, as in a terminal
         )
 
     def wait(self, timeout: float = 180) -> tuple[int, str, str]:
@@ -111,8 +113,13 @@ class Command:
         return self.process.returncode, out, err
 
     def interrupt(self) -> None:
-        """Ctrl-C."""
-        self.process.send_signal(signal.SIGINT)
+        """Ctrl-C, which a terminal sends to all of its processes."""
+        self.signal_all(signal.SIGINT)
+
+    def signal_all(self, number: int) -> None:
+        """Send a signal to the command and every process that it has started."""
+        with contextlib.suppress(ProcessLookupError):  # all have ended
+            os.killpg(self.process.pid, number)
 
 
 def cablequad(*arguments: str) -> tuple[int, str, str]:
