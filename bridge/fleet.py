@@ -73,6 +73,7 @@ class Fleet:
         self.n = len(max_thrust_N)
         self.failure: str | None = None
         self.released_at: float | None = None
+        self.flying = False  # whether every vehicle that is not lost carries itself under our command
         self._vehicles = [Vehicle(i + 1) for i in range(self.n)]
         self._max_thrust_N = max_thrust_N
         self._laws: list[ThrustLaw] = [MotorCommand(limit) for limit in max_thrust_N]
@@ -98,11 +99,6 @@ class Fleet:
     def stages(self) -> list[Stage]:
         """Where each vehicle is."""
         return [v.stage for v in self._vehicles]
-
-    @property
-    def flying(self) -> bool:
-        """Whether every vehicle carries itself under our command."""
-        return self.released_at is not None and all(v.stage is Stage.FLY for v in self._own)
 
     @property
     def _own(self) -> list[Vehicle]:
@@ -134,7 +130,7 @@ class Fleet:
         """Stop the motors of everyone, on the ground."""
         for v in self._own:
             if v.stage < Stage.ARM:
-                v.stage = Stage.DONE
+                self._move(v, Stage.DONE)
             elif v.stage in (Stage.ARM, Stage.FLY):
                 self._enter(v, Stage.DISARM, now)
 
@@ -145,7 +141,7 @@ class Fleet:
         """
         self._lost.add(i)
         v = self._vehicles[i]
-        v.stage = Stage.DONE
+        self._move(v, Stage.DONE)
         if stop:
             end = command(v, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 0, FORCE)
         else:
@@ -210,6 +206,7 @@ class Fleet:
         flies = all(u.landed == IN_AIR for u in self._vehicles) and not self._on_stands
         if self._air_start and self.released_at is None and flies:
             self.released_at = now
+            self._consider()
 
     def texts(self) -> list[tuple[int, StatusText]]:
         """STATUSTEXTs since the last call, with their vehicle."""
@@ -234,7 +231,8 @@ class Fleet:
             )
             out.append(Request(None, beat))
         for v in self._vehicles:
-            self._advance(v, now)
+            if v.stage is not Stage.FLY:
+                self._advance(v, now)
         for v in self._vehicles:
             if v.stage in ASK and now >= v.next_try:
                 v.next_try = now + RETRIES_S.get(v.stage, RETRY_S)
@@ -272,7 +270,16 @@ class Fleet:
             self._fail(f"vehicle {v.system} {text}")
 
     def _enter(self, v: Vehicle, stage: Stage, now: float) -> None:
-        v.stage, v.since, v.next_try, v.refusal = stage, now, now, ""
+        v.since, v.next_try, v.refusal = now, now, ""
+        self._move(v, stage)
+
+    def _move(self, v: Vehicle, stage: Stage) -> None:
+        v.stage = stage
+        self._consider()
+
+    def _consider(self) -> None:
+        """Whether they fly is asked many times a tick, and changes a few times in a flight."""
+        self.flying = self.released_at is not None and all(v.stage is Stage.FLY for v in self._own)
 
     def _heartbeat(self, v: Vehicle, beat: Heartbeat, now: float) -> None:
         v.heartbeat = beat
@@ -368,14 +375,14 @@ class Fleet:
         self._enter(v, following, now)
         if not self._air_start and self.released_at is None and all(u.stage is Stage.FLY for u in self._vehicles):
             self.released_at = now
+            self._consider()
 
     def _watch(self, v: Vehicle, now: float) -> None:
-        wait = v.waits_for()
-        if wait and now - v.since > v.gives_up_s():
+        if now - v.since > v.gives_up_s() and (wait := v.waits_for()):
             self._fail(f"vehicle {v.system}: waited {v.gives_up_s():.0f} s for {wait}{because(v)}")
             if v.stage in (Stage.HOLD, Stage.DISARM):
-                v.stage = Stage.DONE
+                self._move(v, Stage.DONE)
         if v.stage > Stage.HEARTBEAT and v.stage is not Stage.DONE and now - v.heard_at > SILENT_S:
             self._depart(v, f"is silent since t = {v.heard_at:.2f} s of its clock", now)
             if v.stage in (Stage.HOLD, Stage.DISARM):
-                v.stage = Stage.DONE
+                self._move(v, Stage.DONE)

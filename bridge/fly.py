@@ -7,14 +7,14 @@ from typing import NamedTuple, Protocol
 from bridge.decide import Decider
 from bridge.faults import Channel
 from bridge.fleet import COMPONENT, SYSTEM, TRACKER, Fleet
-from bridge.gate import Gate
+from bridge.gate import CLOSING, Gate
 from bridge.link import Address, Link, Received, Sent
 from bridge.observe import Instant, Loop
 from bridge.relate import Related, Relation
 from bridge.thrust import ThrustScale, made_thrust_N
 from bridge.vehicle import Request
 from bridge.wire.messages import WireError, encode
-from bridge.wire.values import Command, CommandAck, Imu, PayloadState, Timesync
+from bridge.wire.values import AttitudeTarget, Command, CommandAck, Imu, Origin, PayloadState, Timesync
 from cablequad.pilot import Sample
 
 PROCESS_ANYWAY_S = 0.5  # wall clock: frames that complete no state are acted on after this long all the same
@@ -84,6 +84,8 @@ class _Flight:
         self.ticks = self.missed = self.predicted = 0
         self.intervals = array("f")  # a long flight has millions
         self.scales = [ThrustScale()] * fleet.n
+        n_links, inv_node = loop.system.n_links.tolist(), loop.system.inv_node
+        self.hanging_N = [float((1.0 / inv_node[i, 1:k]).sum()) * loop.system.g for i, k in enumerate(n_links)]
         self.felt: list[tuple[int, Imu]] = []  # accelerations not yet compared with what was asked
         self.released = False
         self.related: list[Related] = []  # not yet told
@@ -105,12 +107,14 @@ class _Flight:
             self.pending_since = arrived
         tracked: int | None = None
         for frame in frames:
-            self._route(frame)
-            if frame.component == (1 if frame.system != TRACKER else COMPONENT):
+            if self.routes.get(frame.system) != (frame.port, frame.address):
+                self._route(frame)
+            kind = type(frame.value)
+            if kind in CLOSING and frame.component == (1 if frame.system != TRACKER else COMPONENT):
                 self.gate.feed(frame.system, self.relation.mapped(frame.system, frame.value))
-                if isinstance(frame.value, Timesync):
-                    self.related += self.relation.answered(frame.system, frame.value, arrived)
-            if isinstance(frame.value, PayloadState) and frame.system == TRACKER:
+            if kind is Timesync:
+                self.related += self.relation.answered(frame.system, frame.value, arrived)
+            elif kind is PayloadState and frame.system == TRACKER:
                 tracked = frame.value.boot_us
         self.pending += frames
         boot_ms = self.gate.open()
@@ -170,13 +174,15 @@ class _Flight:
             if frame.value is None:
                 continue
             self.fleet.feed(frame.system, frame.component, frame.value, now)
-            if isinstance(frame.value, Command) and (frame.value.system, frame.value.component) == (SYSTEM, COMPONENT):
+            kind = type(frame.value)
+            if kind is Command and (frame.value.system, frame.value.component) == (SYSTEM, COMPONENT):
                 self._told(frame, frame.value)
             if frame.component == (1 if frame.system != TRACKER else COMPONENT):
-                self.relation.learn(frame.system, frame.value)
+                if kind is Origin:
+                    self.relation.learn(frame.system, frame.value)
                 value = self.relation.mapped(frame.system, frame.value)
                 self.decider.feed(frame.system, value)
-                if isinstance(value, Imu) and self.fleet.flying and frame.system <= self.fleet.n:
+                if kind is Imu and value is not None and self.fleet.flying and frame.system <= self.fleet.n:
                     self.felt.append((frame.system - 1, value))
         if frames:
             self.record.received(self.now_us, frames)
@@ -207,7 +213,7 @@ class _Flight:
         state, tension = told
         system = self.loop.system
         k = int(system.n_links[i])
-        down = float((1.0 / system.inv_node[i, 1:k]).sum()) * system.g  # what hangs above the last link's mass
+        down = self.hanging_N[i]  # what hangs above the last link's mass
         R3 = state.R[i, :, 2]
         pull = float(tension[i]) * float(state.q[i, k - 1] @ R3) + down * float(R3[2])
         made = made_thrust_N(float(system.m[i]), float(imu.specific_force[2]), pull)
@@ -225,12 +231,12 @@ class _Flight:
         except WireError as error:  # nothing that is not finite goes out; the vehicles' own failsafes take over
             setpoints = []
             self.fleet.failure = self.fleet.failure or str(error)
-        for i, imu in self.felt:
-            self._compare_thrust(i, imu)
-        self.felt = []
         self.fleet.observed(now, decided.gaps_m)
         self._send(self.fleet.due(now) + setpoints)
         done = self.link.now()
+        for i, imu in self.felt:  # nobody waits for this
+            self._compare_thrust(i, imu)
+        self.felt = []
         self.record.decided(self.now_us, sample, decided.tension, self.decider.phase, instant.age_ms * 1e-3)
         self.predicted += instant.age_ms > 0 and self.fleet.flying
         self._time(instant.boot_ms, arrived, done)
@@ -244,6 +250,8 @@ class _Flight:
                 route = self.routes.get(target)
                 if route is not None:
                     sent.append((target, self.link.send(route[0], SYSTEM, COMPONENT, message, route[1])))
+            if type(value) is AttitudeTarget:  # on its way while the next is made
+                self.link.flush()
         self.link.flush()
         if sent:
             self.record.sent(self.now_us, sent)

@@ -5,6 +5,7 @@ from cablequad.estimate import Sensing
 
 AWAITED = 5  # periods that a silent source is waited for
 REBOOT_MS = 1000  # a clock that goes back by more has begun anew
+CLOSING = frozenset({VehicleAttitude, VehiclePosition, PayloadState})  # what may close a source's part of a tick
 
 
 class Gate:

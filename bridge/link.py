@@ -8,17 +8,19 @@ import select
 import selectors
 import socket
 import time
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
-from bridge.ports import Address, Endpoint, LinkError, Port, open_port
-from bridge.wire.dialect import mavlink
+from bridge.ports import Address, Endpoint, LinkError, Port, StreamPort, open_port
 from bridge.wire.frames import Packed, Signer, Verdict, checksum, frame, targeted
-from bridge.wire.messages import READABLE, decode
+from bridge.wire.messages import KINDS
 
 __all__ = ["Address", "Counters", "Endpoint", "Link", "LinkError", "Received", "Sent"]
 
 GRACE_S = 0.002
 DATAGRAM_BYTES = 1400  # fits every network
+LONG_S = 0.02  # epoll counts milliseconds, which is too coarse for shorter waits; select() on it does not
+_Selector: Any = getattr(selectors, "EpollSelector", selectors.SelectSelector)
+EXACT = not hasattr(selectors, "EpollSelector")
 MOST_ROUNDS = 512  # a flood must not keep the loop from its own work
 
 
@@ -68,14 +70,14 @@ class Link:
         self.ports: list[Port] = []
         self.counters = Counters(len(endpoints))
         self.signer = signer
-        # select() waits with microsecond resolution, epoll with milliseconds
-        self._selector = selectors.SelectSelector()
-        self._next_seq: dict[tuple[int, int, int], int] = {}
-        self._last_seq: dict[tuple[int, int, int], int] = {}
+        self._selector: selectors.BaseSelector = _Selector()
+        self._next_seq: dict[int, int] = {}  # by port, system and component
+        self._last_seq: dict[int, int] = {}
         self._queue: dict[tuple[int, Address], list[bytes]] = {}
         try:
             for index, endpoint in enumerate(endpoints):
                 self.ports.append(open_port(endpoint, self._selector, index))
+            self._streams = [port for port in self.ports if isinstance(port, StreamPort)]
         except BaseException:
             self.close()
             raise
@@ -93,18 +95,18 @@ class Link:
     def poll(self, timeout: float, closing: int | None = None) -> list[Received]:
         """Frames that have arrived, waiting up to `timeout` s for the first.
 
-        `closing` is the port on which the last of a burst is expected: being woken once for all of it, and not for
-        every datagram, halves what a tick costs. The others are not kept waiting for more than `GRACE_S`.
+        `closing` is the port on which the last of a burst is expected: whoever is woken by the first reads on while
+        the rest is on its way, and sleeps once more at most, not before every datagram; no longer than `GRACE_S`.
         """
-        if closing is not None:
-            waits_on = self.ports[closing].listening()
-            if waits_on and select.select(waits_on, (), (), min(timeout, GRACE_S))[0]:
-                timeout = 0.0
         now = time.monotonic()
-        for port in self.ports:
-            port.tend(now)
+        for stream in self._streams:
+            stream.tend(now)
         out: list[Received] = []
-        ready = self._selector.select(max(0.0, timeout))
+        if EXACT or not 0.0 < timeout < LONG_S:
+            ready = self._selector.select(max(0.0, timeout))
+        else:
+            select.select((cast(Any, self._selector),), (), (), timeout)
+            ready = self._selector.select(0.0)
         rounds = 0
         while ready and rounds < MOST_ROUNDS:
             for key, _ in ready:
@@ -112,6 +114,8 @@ class Link:
                 read_from = key.fileobj
                 assert isinstance(read_from, socket.socket)
                 port = self.ports[index]
+                if index == closing:
+                    closing = None
                 for address, data in port.receive(read_from):
                     frames = self._split(index, address, data)
                     if frames:
@@ -119,21 +123,36 @@ class Link:
                         out += frames
             # asking once whether there is more costs less than being told by every socket that there is none
             ready = self._selector.select(0.0)
+            if not ready and closing is not None:
+                waits_on, closing = self.ports[closing].listening(), None
+                if waits_on and select.select(waits_on, (), (), GRACE_S)[0]:
+                    ready = self._selector.select(0.0)
             rounds += 1
         return out
 
     def send(self, port: int, system: int, component: int, message: Packed, to: Address | None = None) -> Sent:
+        """`put`, and what went out."""
+        seq, whole = self.put(port, system, component, message, to)
+        return Sent(system, component, seq, message.msgid, message.name, whole)
+
+    def put(
+        self, port: int, system: int, component: int, message: Packed, to: Address | None = None
+    ) -> tuple[int, bytes]:
         """Queue one message as (system, component) for one address, or for everyone on the port; see `flush`."""
-        key = (port, system, component)
+        key = port << 16 | system << 8 | component
         seq = self._next_seq.get(key, 0)
         self._next_seq[key] = (seq + 1) & 255
         whole = frame(message, seq, system, component, self.signer, port & 255)
-        for address in [to] if to is not None else self.ports[port].addresses():
-            waiting = self._queue.setdefault((port, address), [])
-            waiting.append(whole)
+        queue = self._queue
+        for address in (to,) if to is not None else self.ports[port].addresses():
+            waiting = queue.get((port, address))
+            if waiting is None:
+                queue[port, address] = [whole]
+            else:
+                waiting.append(whole)
             self.counters.sent_on[port] += 1
         self.counters.sent += 1
-        return Sent(system, component, seq, message.msgid, message.name, whole)
+        return seq, whole
 
     def flush(self) -> None:
         """Put what is queued on the wire, in as few datagrams as hold it."""
@@ -184,28 +203,29 @@ class Link:
                 at += 1
                 counters.bad += 1
                 continue
-            kind = mavlink.mavlink_map.get(msgid)
+            kind = KINDS.get(msgid)
             if last > end or flags & ~1 or kind is None:
                 counters.bad += 1
                 at = last if last <= end else at + 1
                 continue
-            if checksum(data[at + 1 : tail] + bytes((kind.crc_extra,))) != data[tail] | data[tail + 1] << 8:
+            name, crc_extra, read = kind
+            if checksum(data[at + 1 : tail] + crc_extra) != data[tail] | data[tail + 1] << 8:
                 counters.bad += 1
                 at += 1
                 continue
-            whole = data[at:last]
+            whole, payload = data[at:last], data[at + (10 if magic == 0xFD else 6) : tail]
             at = last
             if self.signer is not None and not self._believed(self.signer, msgid, whole):
                 continue
             value = None
-            if msgid in READABLE:
+            if read is not None:
                 try:
-                    value = decode(msgid, whole)
-                except (mavlink.MAVError, ValueError, ArithmeticError):
+                    value = read(payload)
+                except (ValueError, ArithmeticError):
                     counters.bad += 1
                     continue
             self._count(port, system, component, seq)
-            out.append(Received(port, address, system, component, seq, msgid, kind.msgname, whole, value))
+            out.append(Received(port, address, system, component, seq, msgid, name, whole, value))
         return out
 
     def _believed(self, signer: Signer, msgid: int, whole: bytes) -> bool:
@@ -218,7 +238,7 @@ class Link:
         return False
 
     def _count(self, port: int, system: int, component: int, seq: int) -> None:
-        key = (port, system, component)
+        key = port << 16 | system << 8 | component
         last = self._last_seq.get(key)
         if last is not None:
             gap = (seq - last - 1) & 255

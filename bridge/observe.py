@@ -63,15 +63,15 @@ class Instant(NamedTuple):
 class _Parts:
     """What has come in of one time stamp."""
 
-    def __init__(self, n: int, L: int, links: int) -> None:
+    def __init__(self, hanging: Array, links: int) -> None:
+        """`hanging` (n, L, 3): what stands where there is no link, or none was told."""
         self.attitudes: dict[int, VehicleAttitude] = {}
         self.positions: dict[int, VehiclePosition] = {}
         self.payload: PayloadState | None = None
-        self.q = np.empty((n, L, 3))
-        self.q[...] = (0.0, 0.0, 1.0)
-        self.omega = np.zeros((n, L, 3))
-        self.tension = np.zeros(n)
-        self.cable_links = [0] * n
+        self.q = hanging.copy()
+        self.omega = np.zeros(hanging.shape)
+        self.tension = np.zeros(len(hanging))
+        self.cable_links = [0] * len(hanging)
         self.links_missing = links
 
 
@@ -82,6 +82,8 @@ class Observer:
         self._loop = loop
         self._n, self._L = loop.system.length.shape
         self._links_of = loop.system.n_links.tolist()
+        self._links = sum(self._links_of)
+        self._hanging = np.tile((0.0, 0.0, 1.0), (self._n, self._L, 1))
         self._parts: dict[int, _Parts] = {}
         self._known: dict[int, tuple[Belief, int]] = {}  # estimates and the stamp that their oldest part rests on
         self._no_force = np.zeros((self._n, 3))
@@ -152,7 +154,7 @@ class Observer:
         self._begun = True
         self._oldest_new = -1
         self._forget(self._known)
-        gap = np.full(self._n, np.nan)
+        gap = self._untold.copy()
         if parts is not None:
             if parts.links_missing == 0:
                 self._tension = parts.tension
@@ -196,7 +198,7 @@ class Observer:
                     store.clear()
                 self._begun = False
                 self._told_cable_ms = [-1] * self._n
-            parts = self._parts[boot_ms] = _Parts(self._n, self._L, sum(self._links_of))
+            parts = self._parts[boot_ms] = _Parts(self._hanging, self._links)
             self._forget(self._parts)
         if self._oldest_new < 0 or boot_ms < self._oldest_new:
             self._oldest_new = boot_ms

@@ -11,6 +11,7 @@ PEERS_KEPT = 8  # learned addresses per port; the longest silent one is forgotte
 RECEIVE_BUFFER = 4 << 20  # bytes; the system's default holds 256 small datagrams
 STREAM_KEPT = 4096  # bytes of an unfinished frame that are kept; more than any frame has
 SEND_KEPT = 1 << 18  # bytes that a TCP peer may be behind before it is let go
+LARGEST = 65536  # bytes of a datagram
 RETRY_S = 0.5  # between attempts to reach a TCP peer
 
 TRACKER_PORTS = (14600, 14640)  # where the controller listens, where the payload tracker does
@@ -63,6 +64,10 @@ class DatagramPort:
     def __init__(self, endpoint: Endpoint, watch: selectors.BaseSelector, index: int) -> None:
         self.endpoint = endpoint
         self.peers: OrderedDict[Address, None] = OrderedDict()
+        self.heard = endpoint.peer is not None  # whether somebody may be there
+        self._newest: Address | None = None  # of the peers
+        self._addresses = [] if endpoint.peer is None else [endpoint.peer]
+        self._datagram = memoryview(bytearray(LARGEST))
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
         self.socket.setblocking(False)
@@ -75,30 +80,26 @@ class DatagramPort:
         """The datagram that waited longest, whole by itself."""
         del ready
         try:
-            datagram, address = self.socket.recvfrom(65536)
+            size, address = self.socket.recvfrom_into(self._datagram)
         except (BlockingIOError, ConnectionRefusedError):
             return []
-        return [(address, datagram)]
+        return [(address, bytes(self._datagram[:size]))]
 
     def learn(self, address: Address) -> None:
         """Remember who spoke to us."""
-        if address == self.endpoint.peer:
+        if address in (self._newest, self.endpoint.peer):
             return
         if address not in self.peers:
             while len(self.peers) >= PEERS_KEPT:
                 self.peers.popitem(last=False)
             self.peers[address] = None
         self.peers.move_to_end(address)
-
-    @property
-    def heard(self) -> bool:
-        """Whether somebody may be there."""
-        return self.endpoint.peer is not None or bool(self.peers)
+        self._newest, self.heard = address, True
+        self._addresses = [*self._addresses[: self.endpoint.peer is not None], *self.peers]
 
     def addresses(self) -> list[Address]:
         """Everyone a broadcast on this port goes to."""
-        fixed = [] if self.endpoint.peer is None else [self.endpoint.peer]
-        return [*fixed, *self.peers]
+        return self._addresses
 
     def send(self, data: bytes, address: Address) -> bool:
         """Whether the system took the datagram."""
@@ -109,9 +110,6 @@ class DatagramPort:
         except OSError:  # an address without a route, or a datagram no interface takes
             return False
         return True
-
-    def tend(self, now: float) -> None:
-        """Nothing to keep up."""
 
     def listening(self) -> list[socket.socket]:
         """The sockets that data comes in on."""
@@ -172,7 +170,7 @@ class StreamPort:
         if address is None:
             return []
         try:
-            data = ready.recv(65536)
+            data = ready.recv(LARGEST)
         except BlockingIOError:
             return []
         except OSError:

@@ -66,7 +66,7 @@ class Vehicle:
     def waits_for(self) -> str:
         """What the stage waits for, in words; nothing where it waits for nobody."""
         profile = self.profile
-        if profile is None:
+        if profile is None or self.stage is Stage.FLY:
             return ""
         return {
             Stage.STREAMS: "its streams (SET_MESSAGE_INTERVAL)",

@@ -40,6 +40,10 @@ class Setpoint(NamedTuple):
         n = len(thrust)
         return cls(R_c, np.zeros((n, 3)), thrust, np.zeros(n, dtype=np.bool_))
 
+    def of(self, members: list[int]) -> "Setpoint":
+        """What it says to some of the vehicles."""
+        return Setpoint(self.R_c[members], self.Omega_c[members], self.thrust[members], self.rate_only[members])
+
 
 @inlined
 def angular_acceleration(airframe: Airframe, setpoint: Setpoint, i: int, R: Array, O: Triple) -> Triple:

@@ -12,8 +12,8 @@ import numpy as np
 
 from cablequad import lie
 from cablequad._jit import inlined, jit
-from cablequad.dynamics import Accelerations, Workspace, accelerate, workspace
-from cablequad.state import State
+from cablequad.dynamics import Accelerations, Workspace, accelerate, evaluate, workspace
+from cablequad.state import State, positions, velocities
 from cablequad.system import System
 from cablequad.types import Array, Triple
 
@@ -104,6 +104,21 @@ def advance(system: System, state: State, command: Command, h: float, steps: int
         derive(system, s.stage, command, s)
         stage(system, state, s.stage, s, h / 6.0, 0.0)
         finish(system, state, s)
+
+
+@jit
+def look(system: System, state: State, thrust: Array, s: Scratch) -> tuple[Array, Array, Array]:
+    """What is to be seen of an instant.
+
+    (n, 3) m and (n, 3) m/s, W: the quadrotors; (n, L) N: tensions under `thrust` (n,) N and what acts from outside in
+    `s`, padding 0.
+    """
+    for i in range(system.m.shape[0]):
+        for a in range(3):
+            s.force[i, a] = s.on_vehicles[i, a] - thrust[i] * state.R[i, a, 2]
+    evaluate(system, state, s.force, s.acc, s.work)
+    x, v = positions(system, state)[:, 0].copy(), velocities(system, state)[:, 0].copy()
+    return x, v, s.acc.tension.copy()
 
 
 @inlined

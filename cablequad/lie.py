@@ -162,8 +162,13 @@ def log_of_rows(r: tuple[Triple, Triple, Triple]) -> Triple:
 @jit
 def quat_from_rotation(R: Array) -> Array:
     """The unit quaternion (w, x, y, z) of R with w >= 0."""
-    rows = (R[0, 0], R[0, 1], R[0, 2]), (R[1, 0], R[1, 1], R[1, 2]), (R[2, 0], R[2, 1], R[2, 2])
-    return np.array(quat_of_rows(rows))
+    return np.array(wxyz_from_rotation(R))
+
+
+@jit
+def wxyz_from_rotation(R: Array) -> tuple[float, float, float, float]:
+    """`quat_from_rotation` as numbers one by one."""
+    return quat_of_rows(((R[0, 0], R[0, 1], R[0, 2]), (R[1, 0], R[1, 1], R[1, 2]), (R[2, 0], R[2, 1], R[2, 2])))
 
 
 @jit
@@ -194,7 +199,12 @@ def quats_from_rotations(R: Array) -> Array:
 @jit
 def rotation_from_quat(quat_wxyz: Array) -> Array:
     """The rotation of a quaternion (w, x, y, z) of any non-zero norm, (3, 3)."""
-    w, x, y, z = quat_wxyz[0], quat_wxyz[1], quat_wxyz[2], quat_wxyz[3]
+    return rotation_from_wxyz(quat_wxyz[0], quat_wxyz[1], quat_wxyz[2], quat_wxyz[3])
+
+
+@jit
+def rotation_from_wxyz(w: float, x: float, y: float, z: float) -> Array:
+    """`rotation_from_quat` of numbers one by one, which cost less to hand over."""
     s = 2.0 / (w * w + x * x + y * y + z * z)
     return np.array(
         [

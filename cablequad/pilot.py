@@ -11,6 +11,7 @@ from cablequad.design import Authority, Calm, Design
 from cablequad.dynamics import Accelerations, evaluate, workspace
 from cablequad.formation import Formation, formation
 from cablequad.geometric import attitude_of_force
+from cablequad.held import Held, hold
 from cablequad.integrate import scratch
 from cablequad.state import Error, State, local, positions, velocities
 from cablequad.trajectory import Reference
@@ -71,11 +72,21 @@ def first_memory(design: Design) -> Memory:
 def tick(memory: Memory, measurement: Measurement, reference: Reference, design: Design) -> tuple[Memory, Sample]:
     """The setpoints that answer `measurement`. Non-finite measurements give non-finite commands: callers must check."""
     s = measurement.state
-    d = _decide(memory, s, measurement.held, reference, design)
+    d = _decide(memory, s, measurement.held, reference, _held(design))
     sample = Sample(
         measurement.t, s, reference, memory, d.error, d.A, d.R_c, d.f, d.Psi_0, d.Psi, d.e_q, d.e_omega, d.R_0d, d.q_d
     )
     return d.memory, sample
+
+
+_LAST: list[tuple[Design, Held[Design]]] = []  # the design that was asked for last, held
+
+
+def _held(design: Design) -> Held[Design]:
+    """The same design decides tick after tick: it is made a pointer once."""
+    if not _LAST or _LAST[0][0] is not design:
+        _LAST[:] = [(design, hold(design))]
+    return _LAST[0][1]
 
 
 class _Decision(NamedTuple):
@@ -95,7 +106,8 @@ class _Decision(NamedTuple):
 
 
 @jit
-def _decide(memory: Memory, s: State, on_hold: bool, reference: Reference, design: Design) -> _Decision:
+def _decide(memory: Memory, s: State, on_hold: bool, reference: Reference, held_design: Held[Design]) -> _Decision:
+    design = held_design.value
     system, u_star = design.system, design.u_star
     # everything is seen from a frame turned with the reference's yaw, where the linear model holds
     yaw = reference.yaw[0]

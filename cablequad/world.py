@@ -7,9 +7,10 @@ import numpy as np
 from cablequad import lie
 from cablequad._jit import jit
 from cablequad.air import Air, drag
-from cablequad.attitude import Airframe, Setpoint, moments
+from cablequad.attitude import Airframe, Setpoint, fly, moments
 from cablequad.ground import Ground, advance_on, kept
-from cablequad.integrate import Command, Scratch, advance
+from cablequad.held import Held
+from cablequad.integrate import Command, Scratch, advance, look
 from cablequad.rotors import Rotors, drive, spin
 from cablequad.state import State
 from cablequad.system import System
@@ -31,30 +32,45 @@ class World(NamedTuple):
 AIR, ROTORS, GROUND, DRIVEN = 0, 1, 2, 3
 
 
-@jit
-def fly_in(
-    system: System,
-    airframe: Airframe,
-    setpoint: Setpoint,
-    state: State,
-    h: float,
-    world: World,
-    wind: Array,
-    rotor_thrust: Array,
-    command: Command,
-    work: Scratch,
-) -> None:
-    """`attitude.fly` in a world whose air moves with `wind` (steps, 3) m/s, W, held over each step of `h` s.
+class Whole(NamedTuple):
+    """What hangs together, and everything around it and of it that moves on."""
 
-    `rotor_thrust` (n, 4) N moves on; `command` is left with what the rotors gave last.
+    system: System
+    airframe: Airframe
+    state: State
+    world: World
+    rotor_thrust: Array  # (n, 4) N
+    command: Command  # what the rotors gave last
+    work: Scratch
+
+
+Seen = tuple[Array, Array, Array]  # of `integrate.look`
+
+
+@jit
+def fly_alone(held: Held[Whole], setpoint: Setpoint, h: float, steps: int) -> Seen:
+    """`attitude.fly` with nothing around, and what is to be seen then.
+
+    The setpoint's thrusts are within the rotors' limits.
     """
+    w = held.value
+    fly(w.system, w.airframe, setpoint, w.state, h, steps, w.work)
+    w.command.thrust[:] = setpoint.thrust
+    return look(w.system, w.state, setpoint.thrust, w.work)
+
+
+@jit
+def fly_in(held: Held[Whole], setpoint: Setpoint, h: float, wind: Array) -> Seen:
+    """`fly_alone` in a world whose air moves with `wind` (steps, 3) m/s, W, held over each step of `h` s."""
+    w = held.value
+    system, state, world, command, work = w.system, w.state, w.world, w.command, w.work
     for k in range(wind.shape[0]):
         if world.has[DRIVEN] > 0.0:
-            drive(world.rotors, world.asked, command, rotor_thrust, h)
+            drive(world.rotors, world.asked, command, w.rotor_thrust, h)
         else:
-            moments(system, airframe, setpoint, state, command)
+            moments(system, w.airframe, setpoint, state, command)
             if world.has[ROTORS] > 0.0:
-                spin(world.rotors, command, rotor_thrust, h)
+                spin(world.rotors, command, w.rotor_thrust, h)
         if world.has[AIR] > 0.0:
             drag(system, state, world.air, wind[k], work.on_vehicles, work)
         else:
@@ -67,19 +83,20 @@ def fly_in(
             advance_on(system, state, command, h, world.ground, kept(work), work)
         else:
             advance(system, state, command, h, 1, work)
+    return look(system, state, command.thrust, work)
 
 
 @jit
-def turn_on_stands(
-    system: System, state: State, h: float, steps: int, world: World, rotor_thrust: Array, command: Command
-) -> None:
+def turn_on_stands(held: Held[Whole], h: float, steps: int) -> None:
     """Vehicles on stands that hold their places and leave their attitudes free, under rotors that are driven.
 
     Cables are tied to centres of mass: attitudes turn by the rotors' moments alone. One midpoint step of Euler's
     equations for each `h` s. A vehicle whose rotors do not turn stays as it is.
     """
+    w = held.value
+    system, state, world, command = w.system, w.state, w.world, w.command
     for _ in range(steps):
-        drive(world.rotors, world.asked, command, rotor_thrust, h)
+        drive(world.rotors, world.asked, command, w.rotor_thrust, h)
         for i in range(system.m.shape[0]):
             if command.thrust[i] <= 0.0:
                 state.Omega[i] = 0.0

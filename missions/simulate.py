@@ -31,6 +31,7 @@ from sitl.server import Server
 from sitl.settings import HOST, Event, Report, Settings, Sink
 
 TOLD_TOGETHER = 16  # ticks of truth in one write: a wake-up of the scribe costs more than what it is told
+LOOK_UP = 32  # questions whether to stop, for each look at whether the parent lives
 START_S = 180.0  # the first start on a machine compiles the model
 
 
@@ -169,6 +170,18 @@ def few_collections() -> None:
     gc.set_threshold(50_000, 20, 100)
 
 
+def _ends(stopped: threading.Event, parent: int) -> Callable[[], bool]:
+    """Whether to stop: told to, or left alone, which is looked at now and then, as it costs a system call."""
+    asked = 0
+
+    def ends() -> bool:
+        nonlocal asked
+        asked += 1
+        return stopped.is_set() or (asked % LOOK_UP == 0 and os.getppid() != parent)
+
+    return ends
+
+
 def _child(values: Settings, status: Connection, truth: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides when a flight ends
     stopped = threading.Event()
@@ -197,7 +210,7 @@ def _child(values: Settings, status: Connection, truth: Connection) -> None:
             if stopped.is_set() or os.getppid() != parent:
                 return
         status.recv()  # go
-        report = server.run(lambda: stopped.is_set() or os.getppid() != parent)
+        report = server.run(_ends(stopped, parent))
         status.send(report)
     except PhysicsError as error:
         status.send(Failure(f"physics: {error} (t = {server.now_us * 1e-6:.2f} s of the vehicles' clock)"))

@@ -7,16 +7,16 @@ from typing import NamedTuple
 import numpy as np
 
 from cablequad.air import Air
-from cablequad.attitude import Airframe, Setpoint, fly
-from cablequad.dynamics import accelerations
+from cablequad.attitude import Airframe, Setpoint
 from cablequad.ground import Ground, ground, standing
-from cablequad.integrate import Command, Scratch, scratch
+from cablequad.held import hold
+from cablequad.integrate import Command, Scratch, look, scratch
 from cablequad.loose import fly_loose
 from cablequad.rotors import Rotors
-from cablequad.state import State, positions, velocities
+from cablequad.state import State, positions
 from cablequad.system import System, cut_off, without
 from cablequad.types import Array
-from cablequad.world import AIR, DRIVEN, GROUND, ROTORS, World, fly_in, turn_on_stands
+from cablequad.world import AIR, DRIVEN, GROUND, ROTORS, Seen, Whole, World, fly_alone, fly_in, turn_on_stands
 from sitl.firmware.autopilot import Actuation
 from sitl.wind import Wind
 
@@ -58,15 +58,16 @@ class PhysicsError(ArithmeticError):
     """The motion left the numbers."""
 
 
-def _commanded(airframe: Airframe, actuation: Sequence[Actuation]) -> Setpoint:
-    """What flight controllers ask, as the attitude loops take it: rotors give max_thrust throttle^2."""
+def _commanded(actuation: Sequence[Actuation], max_thrust: Sequence[float], scale: Sequence[float]) -> Setpoint:
+    """What flight controllers ask, as the attitude loops take it: rotors give max_thrust throttle^2, times `scale`."""
     n = len(actuation)
-    R_c, Omega_c = np.empty((n, 3, 3)), np.empty((n, 3))
+    R_c, Omega_c, rate_only = np.empty((n, 3, 3)), np.empty((n, 3)), np.zeros(n, dtype=np.bool_)
+    thrust = []
     for i, a in enumerate(actuation):
-        R_c[i], Omega_c[i] = a.R_c, a.Omega_c
-    throttle = np.array([min(max(a.throttle, 0.0), 1.0) for a in actuation])
-    rate_only = np.array([a.rate_only for a in actuation])
-    return Setpoint(R_c, Omega_c, airframe.max_thrust * throttle**2, rate_only)
+        R_c[i], Omega_c[i], rate_only[i] = a.R_c, a.Omega_c, a.rate_only
+        throttle, most = min(max(a.throttle, 0.0), 1.0), max_thrust[i]
+        thrust.append(min(scale[i] * (most * (throttle * throttle)), most))
+    return Setpoint(R_c, Omega_c, np.array(thrust), rate_only)
 
 
 class _Part:
@@ -76,32 +77,28 @@ class _Part:
         self, system: System, members: list[int], airframe: Airframe, state: State, world: World, rotor_thrust: Array
     ) -> None:
         self.system, self.members, self.state, self.world = system, members, state, world
+        self.whole = members == list(range(len(airframe.max_thrust)))
         self.airframe = Airframe(*(field[members].copy() for field in airframe))
         self.rotor_thrust = rotor_thrust[members].copy()
         self.command = Command(np.zeros(len(members)), np.zeros((len(members), 3)))
         self.work: Scratch = scratch(system, state)
+        whole = Whole(system, self.airframe, state, world, self.rotor_thrust, self.command, self.work)
+        self.held = hold(whole)
+        self.seen: Seen | None = None  # what there is to `look` at since the last move
 
-    def move(self, setpoint: Setpoint, state: State, h: float, steps: int, wind: Array | None) -> None:
-        """Advance `state` under the members' part of `setpoint`."""
-        i = self.members
-        own = Setpoint(setpoint.R_c[i], setpoint.Omega_c[i], setpoint.thrust[i], setpoint.rate_only[i])
+    def move(self, setpoint: Setpoint, h: float, steps: int, wind: Array | None) -> None:
+        """Go on under the members' part of `setpoint`."""
+        own = setpoint if self.whole else setpoint.of(self.members)
         if wind is None:
-            fly(self.system, self.airframe, own, state, h, steps, self.work)
-            self.command.thrust[:] = np.clip(own.thrust, 0.0, self.airframe.max_thrust)
+            self.seen = fly_alone(self.held, own, h, steps)
         else:
-            fly_in(
-                self.system, self.airframe, own, state, h, self.world, wind, self.rotor_thrust, self.command, self.work
-            )
+            self.seen = fly_in(self.held, own, h, wind)
 
-    def tension(self, thrust: Array) -> Array:
-        """(members, L) N at this instant, with `thrust` (members,) N."""
-        work = self.work.work
-        force = self.work.on_vehicles - thrust[:, None] * self.state.R[:, :, 2]
-        if work.loaded[0]:
-            a = accelerations(self.system, self.state, force, work.on_payload, work.on_nodes, work.turning)
-        else:
-            a = accelerations(self.system, self.state, force)
-        return a.tension
+    def look(self, thrust: Array) -> Seen:
+        """(members, 3) m and m/s of the vehicles and (members, L) N at this instant, with `thrust` (members,) N."""
+        if self.seen is None:
+            self.seen = look(self.system, self.state, thrust, self.work)
+        return self.seen
 
 
 class Plant:
@@ -124,8 +121,9 @@ class Plant:
         self.h = h
         self.around = self._around = around or Surroundings()
         self.grounded = self.around.ground_z is not None
-        self._thrust_scale = np.ones(len(system.m)) if thrust_scale is None else thrust_scale.copy()
-        self._given_scale = self._thrust_scale.copy()
+        self._max_thrust: list[float] = airframe.max_thrust.tolist()
+        self._thrust_scale: list[float] = [1.0] * len(system.m) if thrust_scale is None else thrust_scale.tolist()
+        self._given_scale = list(self._thrust_scale)
         self._wind = wind
         self._blows = np.zeros((0, 3))  # m/s: of the wind, already drawn
         self._rotors = self.around.rotors or _instant(airframe)
@@ -142,7 +140,7 @@ class Plant:
             self.held = True
             self.advance(1)
         still = None if self._plain else np.zeros((1, 3))
-        self._parts[0].move(self._setpoint, self.state.copy(), self.h, 1, still)
+        self._parts[0].move(self._setpoint, self.h, 1, still)
         self.reset()
         self.specific_force(self.truth(0, *self.kinematics()))
 
@@ -158,6 +156,7 @@ class Plant:
         self._parts = [_Part(self.system, list(range(n)), self.airframe, state, whole, self._rotor_thrust)]
         self._gust, self._gust_s, self._gust_at = np.zeros(3), 0.0, 0.0
         self._apart: list[int] = []
+        self._shifted = False
         self._offset = np.zeros(3)  # of the load's centre of mass, in its frame, from where it was
         self._standing = [self.grounded and not self.around.airborne] * n
         self._settled_s = [0.0] * n
@@ -181,7 +180,7 @@ class Plant:
     def state(self) -> State:
         """Where everything is, as one state; cables that came off keep their links' directions."""
         s = self._parts[0].state
-        if not self._apart and not self._offset.any():
+        if not self._apart and not self._shifted:
             return s
         x0 = s.x0 - s.R0 @ self._offset
         v0 = s.v0 - s.R0 @ np.cross(s.Omega0, self._offset)
@@ -205,31 +204,33 @@ class Plant:
 
     def command(self, actuation: Sequence[Actuation]) -> None:
         """What acts from now on."""
-        asked = _commanded(self.airframe, actuation)
-        self._setpoint = asked._replace(thrust=np.minimum(self._thrust_scale * asked.thrust, self.airframe.max_thrust))
+        self._setpoint = _commanded(actuation, self._max_thrust, self._thrust_scale)
         if self._plain:
             self.thrust = self._setpoint.thrust
+            for part in self._parts:
+                part.seen = None
 
     def drive(self, asked: Array) -> None:
         """What every rotor is asked for from now on, (n, 4) N, where flight controllers drive them (`driven`)."""
+        given = np.array(self._thrust_scale)[:, None] * asked
         for part in self._parts:
-            part.world.asked[:] = self._thrust_scale[part.members, None] * asked[part.members]
+            part.world.asked[:] = given if part.whole else given[part.members]
 
     def advance(self, steps: int) -> None:
         """`steps` physics steps under what was commanded. Raises PhysicsError when the state is no longer finite."""
         if self.held:
             if self.around.driven:
                 whole = self._parts[0]
-                command = whole.command
-                turn_on_stands(whole.system, whole.state, self.h, steps, whole.world, whole.rotor_thrust, command)
-                self.thrust = command.thrust.copy()
+                turn_on_stands(whole.held, self.h, steps)
+                self.thrust, whole.seen = whole.command.thrust.copy(), None
             return
         wind = self._air(steps)
         thrust = self.thrust.copy()
         for part in self._parts:
-            part.move(self._setpoint, part.state, self.h, steps, wind)
+            part.move(self._setpoint, self.h, steps, wind)
             thrust[part.members] = part.command.thrust
-            if not math.isfinite(float(part.state.x0.sum()) + float(part.state.omega.sum())):
+            rates = part.state.omega.ravel()
+            if not math.isfinite(part.state.x0 @ part.state.x0 + rates @ rates):
                 raise PhysicsError("the motion is no longer finite; the vehicles and the load have flown apart")
         if not self._plain:
             self.thrust = thrust
@@ -305,7 +306,7 @@ class Plant:
         steiner = np.einsum("ia,ia->i", rho, rho)[:, None, None] * np.eye(3) - outer
         moved = moved._replace(Jbar0=old.J0 + np.einsum("i,iab->ab", old.M_iT, steiner))
         at = s._replace(x0=s.x0 + s.R0 @ offset, v0=s.v0 + s.R0 @ np.cross(s.Omega0, offset)).copy()
-        self._offset = self._offset + offset
+        self._offset, self._shifted = self._offset + offset, True
         corners = self.around.corners - offset
         self.around = self.around._replace(corners=corners)
         works = whole.world.rotors.works
@@ -350,26 +351,23 @@ class Plant:
 
     def kinematics(self) -> tuple[Array, Array]:
         """(n, 3) m and (n, 3) m/s, W: where the quadrotors are and how they move."""
-        if not self._apart:
-            whole = self._parts[0]
-            return positions(whole.system, whole.state)[:, 0], velocities(whole.system, whole.state)[:, 0]
-        n = len(self.system.m)
-        x, v = np.empty((n, 3)), np.empty((n, 3))
-        for part in self._parts:
-            x[part.members] = positions(part.system, part.state)[:, 0]
-            v[part.members] = velocities(part.system, part.state)[:, 0]
+        x, v, _ = self._look()
         return x, v
 
     def truth(self, boot_us: int, x: Array, v: Array) -> Truth:
         """Everything, in arrays of its own; tensions are those of this instant under what is commanded from it on."""
-        if not self._apart:
-            tension = self._parts[0].tension(self.thrust)
-        else:
-            tension = np.zeros(self.system.length.shape)
-            for part in self._parts:
-                own = part.tension(self.thrust[part.members])
-                tension[part.members, : own.shape[1]] = own
+        _, _, tension = self._look()
         return Truth(boot_us, self.held, self.state.copy(), x, v, tension, self.thrust)
+
+    def _look(self) -> Seen:
+        if not self._apart:
+            return self._parts[0].look(self.thrust)
+        n = len(self.system.m)
+        x, v, tension = np.empty((n, 3)), np.empty((n, 3)), np.zeros(self.system.length.shape)
+        for part in self._parts:
+            x[part.members], v[part.members], own = part.look(self.thrust[part.members])
+            tension[part.members, : own.shape[1]] = own
+        return x, v, tension
 
     def specific_force(self, truth: Truth) -> Array:
         """(n, 3) m/s^2, body frames: what each vehicle's accelerometer reads; the support carries it while held."""
@@ -428,7 +426,7 @@ class LoosePlant:
 
     def command(self, actuation: Sequence[Actuation]) -> None:
         """What acts from now on."""
-        self._setpoint = _commanded(self.airframe, actuation)
+        self._setpoint = _commanded(actuation, self.airframe.max_thrust.tolist(), [1.0] * len(actuation))
         self.thrust = self._setpoint.thrust
 
     def advance(self, steps: int) -> None:

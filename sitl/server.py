@@ -5,7 +5,7 @@ for the answers (lockstep) or for the wall clock. A setpoint that answers the st
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -28,6 +28,7 @@ from sitl.settings import Event, Report, Settings, Sink, plant_of, sensors_of
 
 CONTROLLER = (250, 191)  # whose setpoints may hold the clock
 PERSONAS: dict[str, type[Px4] | type[ArduCopter]] = {"px4": Px4, "arducopter": ArduCopter}
+NO_FORCE = np.zeros(3)
 CATCH_UP = 0.25  # s behind the wall clock that are made up for; more is let go
 
 
@@ -43,7 +44,8 @@ class Server:
         trackers = () if s.loose else tracker_endpoints(s.port_offset, s.host)
         signer = Signer(s.signing_key, s.accept_unsigned_telemetry) if s.signing_key is not None else None
         self.link = Link([*(place.endpoint for place in self._places), *trackers], signer)
-        self._tracker_ports = (len(self._places), len(self._places) + 1)
+        ports = (len(self._places), len(self._places) + 1)
+        self._tracker = tracker.Tracker(self.link, ports, s.system.n_links, s.control_us)
         self.plant = LoosePlant(s.system, s.airframe, s.initial, s.physics_us * 1e-6) if s.loose else plant_of(s)
         self._sensors = sensors_of(s)
         self._batteries = Batteries(s.batteries, s.system.m * s.system.g)
@@ -71,7 +73,7 @@ class Server:
         self._releasing = False
         self._released_us: int | None = None
         self._truth: Truth | None = None  # of the coming tick
-        self._own: list[Snapshot] = []
+        self._own: list[Snapshot] = []  # of the coming tick
         self._missed_answers = 0
         self._missed_deadlines = 0
         self._lateness: list[float] = []
@@ -127,7 +129,8 @@ class Server:
 
     def _warm_up(self) -> None:
         """Build every message once, so that nothing is compiled while the clock runs."""
-        own = self._snapshots(0, *self.plant.kinematics())[0]
+        (x, v), (R, Omega) = self.plant.kinematics(), self.plant.attitudes
+        own = self.vehicles[0].snapshot(0, R[0], Omega[0], x[0], v[0], NO_FORCE, self.settings.home)
         for build in BUILD.values():
             build(own)
         self.vehicles[0].navigator.begin(own, 10.0)
@@ -135,19 +138,8 @@ class Server:
         self.vehicles[0].navigator.end()
         if isinstance(self.plant, Plant):
             truth = self.plant.truth(0, *self.plant.kinematics())
-            tracker.high_rate(truth, self.settings.system.n_links)
-            tracker.low_rate(truth, self.settings.system.n_links)
-
-    def _snapshots(self, now: int, x: Array, v: Array) -> list[Snapshot]:
-        """What every vehicle knows of itself, before its flight controller and its accelerometer add to it."""
-        R, Omega = self.plant.attitudes
-        none = np.zeros(3)
-        return [
-            Snapshot(
-                now, R[i], Omega[i], x[i], v[i], none, 0.0, False, ON_GROUND, (R[i], Omega[i], 0.0), self.settings.home
-            )
-            for i in range(self.n)
-        ]
+            self._tracker.high_rate(truth)
+            self._tracker.low_rate(truth)
 
     def _one_tick(self) -> None:
         """Speak, listen, move on. What is said at a tick was settled before it: what was commanded until then acted.
@@ -177,25 +169,25 @@ class Server:
 
     def _compose(self, now: int) -> None:
         """Put together what is said at `now`: sensors tell what acted until then."""
-        s = self.settings
         x, v = self.plant.kinematics()
-        self._own = self._snapshots(now, x, v)
+        R, Omega = self.plant.attitudes
         self._truth = self.plant.truth(now, x, v) if isinstance(self.plant, Plant) else None
         felt = any(vehicle.will_tell(HIGHRES_IMU, now) for vehicle in self.vehicles)
-        if felt:
-            if isinstance(self.plant, LoosePlant):
-                force = self.plant.specific_force()
-            else:
-                assert self._truth is not None
-                force = self.plant.specific_force(self._truth)
-            self._own = [own._replace(specific_force=force[i]) for i, own in enumerate(self._own)]
+        force: Sequence[Array] = [NO_FORCE] * self.n
+        if felt and isinstance(self.plant, LoosePlant):
+            force = list(self.plant.specific_force())
+        elif felt:
+            assert self._truth is not None
+            assert isinstance(self.plant, Plant)
+            force = list(self.plant.specific_force(self._truth))
+        home = self.settings.home
+        self._own = []
         for i, vehicle in enumerate(self.vehicles):
-            self._own[i] = self._self_image(i, self._own[i])
-            told = self._sensors.vehicle(i, vehicle.snapshot(self._own[i]), felt)
-            self._speak(i, vehicle, told)
+            own = self._self_image(i, vehicle.snapshot(now, R[i], Omega[i], x[i], v[i], force[i], home))
+            self._own.append(own)
+            self._speak(i, vehicle, self._sensors.vehicle(i, own, felt))
         if self._truth is not None:
-            said = self._sensors.tracked(self._truth)
-            tracker.tell(self.link, self._tracker_ports, said, s.system.n_links, s.control_us)
+            self._tracker.tell(self._sensors.tracked(self._truth))
 
     def _self_image(self, i: int, own: Snapshot) -> Snapshot:
         """What vehicle i takes itself to be, with what is broken."""
@@ -251,25 +243,25 @@ class Server:
                 channel.released_us = now
 
     def _speak(self, i: int, vehicle: Autopilot, snapshot: Snapshot) -> None:
-        audible = self._audible(i)
-        self._expected[i] = False
-        down = self._down[i]
-        for out in vehicle.outgoing(snapshot, audible):
-            for link, port in enumerate(self._ports[i]):
-                if out.link in (None, link) and audible[link]:
+        audible, ports, down = self._audible(i), self._ports[i], self._down[i]
+        expected = False
+        for message_of, message in vehicle.outgoing(snapshot, audible):
+            for link, port in enumerate(ports):
+                if (message_of is None or message_of == link) and audible[link]:
                     if down is not None:
-                        down.put((port, out.message), len(out.message.payload) + 12, snapshot.boot_us)
+                        down.put((port, message), len(message.payload) + 12, snapshot.boot_us)
                         continue
-                    self.link.send(port, vehicle.system_id, 1, out.message)
-                    if out.message.msgid == ATTITUDE_QUATERNION and port == self._controller_port[i]:
-                        self._expected[i] = True
+                    self.link.put(port, vehicle.system_id, 1, message)
+                    if message.msgid == ATTITUDE_QUATERNION and port == self._controller_port[i]:
+                        expected = True
+        self._expected[i] = expected
         if down is not None:
             for port, message in down.take(snapshot.boot_us):
-                self.link.send(port, vehicle.system_id, 1, message)
+                self.link.put(port, vehicle.system_id, 1, message)
 
     def _audible(self, i: int) -> tuple[bool, ...]:
         """On which of vehicle i's links somebody may listen."""
-        return tuple(self.link.ports[p].heard for p in self._ports[i])
+        return tuple([self.link.ports[p].heard for p in self._ports[i]])
 
     def _receive(self, timeout: float, closing: int | None = None) -> None:
         now = self.now_us
@@ -280,7 +272,7 @@ class Server:
                     self._seen_us = now  # the controller has seen this tick and has nothing more to say to it
                 elif isinstance(value, Timesync) and value.tc1 == 0:
                     answer = encode(Timesync(now * 1000, value.ts1))
-                    self.link.send(frame.port, tracker.SYSTEM, tracker.COMPONENT, answer, frame.address)
+                    self.link.put(frame.port, tracker.SYSTEM, tracker.COMPONENT, answer, frame.address)
                 continue
             due = now + self.settings.tick_us
             if isinstance(value, AttitudeTarget) and (frame.system, frame.component) == CONTROLLER:
@@ -316,6 +308,7 @@ class Server:
         if self.now_us % self.settings.control_us != 0:
             self._receive(0.0)
             return
+        read = False  # all that has come
         while not stop():
             missing = [
                 i for i in range(self.n) if self._engaged[i] and self._awaited[i] and self._answered[i] != now_ms
@@ -324,7 +317,8 @@ class Server:
             answered = any(self._answered[i] == now_ms for i in range(self.n))
             awaited = bool(missing) or (quiet and not answered)
             if not awaited or self._seen_us == self.now_us:
-                self._receive(0.0)
+                if not read:
+                    self._receive(0.0)
                 return
             left = deadline - self.link.now()
             if left <= 0:
@@ -338,7 +332,7 @@ class Server:
                 )
                 return
             self._receive(min(left, 0.1), closing)
-            closing = None
+            closing, read = None, True
 
     def _pace(self) -> None:
         s = self.settings

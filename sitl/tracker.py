@@ -3,10 +3,12 @@
 import numpy as np
 
 from bridge.link import Link
+from bridge.wire.cables import Cables
 from bridge.wire.dialect import mavlink
 from bridge.wire.frames import Packed, pack
-from bridge.wire.messages import cable_frames, encode
-from bridge.wire.values import CableShape, Heartbeat, PayloadState, VehicleAttitude, VehiclePosition
+from bridge.wire.messages import encode
+from bridge.wire.values import Heartbeat, PayloadState, VehicleAttitude, VehiclePosition
+from cablequad.types import Counts
 from sitl.plant import Truth
 
 SYSTEM, COMPONENT = 200, 191
@@ -16,43 +18,48 @@ ARRAY_US = 500_000
 ARRAY_FLOATS = 58
 
 
-def high_rate(truth: Truth, n_links: np.ndarray) -> list[Packed]:
-    """CABLE_STATE of every cable, then ODOMETRY of the payload, which closes the tick."""
-    s, us = truth.state, truth.boot_us
-    out = []
-    for i, k in enumerate(n_links.tolist()):
-        shape = CableShape(us, i + 1, k, 0, float(truth.tension[i, k - 1]), s.q[i, :k], s.omega[i, :k])
-        out += [encode(part) for part in cable_frames(shape)]
-    out.append(encode(PayloadState(us, s.x0, s.v0, s.R0, s.Omega0)))
-    return out
+class Tracker:
+    """What it says, to the controller and to ground stations, on their two `ports` of `link`."""
 
+    def __init__(self, link: Link, ports: tuple[int, int], n_links: Counts, control_us: int) -> None:
+        self._link, self._ports, self._n_links, self._control_us = link, ports, n_links, control_us
+        self._cables = Cables(n_links)
 
-def low_rate(truth: Truth, n_links: np.ndarray) -> list[Packed]:
-    """What is due at this tick for maps and stock tools: heartbeat 1 Hz, pose 10 Hz, cables as plain arrays 2 Hz."""
-    s, us = truth.state, truth.boot_us
-    out: list[Packed] = []
-    if us % HEARTBEAT_US == 0:
-        beat = Heartbeat(
-            mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE
-        )
-        out.append(encode(beat))
-    if us % MAP_US == 0:
-        out.append(encode(VehiclePosition(us // 1000, s.x0, s.v0)))
-        out.append(encode(VehicleAttitude(us // 1000, s.R0, s.Omega0)))
-    if us % ARRAY_US == 0:
-        for i, k in enumerate(n_links.tolist()):
-            links = np.concatenate([s.q[i, :k], s.omega[i, :k]], axis=1).ravel()[:ARRAY_FLOATS]
-            data = links.tolist() + [0.0] * (ARRAY_FLOATS - len(links))
-            out.append(pack(mavlink.MAVLink_debug_float_array_message, us, i + 1, b"cable", *data))
-    return out
+    def tell(self, truth: Truth) -> None:
+        """Say what is due."""
+        to_controller, to_ground = self._ports
+        for message in self.low_rate(truth):
+            self._link.put(to_ground, SYSTEM, COMPONENT, message)
+            self._link.put(to_controller, SYSTEM, COMPONENT, message)
+        if truth.boot_us % self._control_us == 0:
+            for message in self.high_rate(truth):
+                self._link.put(to_controller, SYSTEM, COMPONENT, message)
 
+    def high_rate(self, truth: Truth) -> list[Packed]:
+        """CABLE_STATE of every cable, then ODOMETRY of the payload, which closes the tick."""
+        s, us = truth.state, truth.boot_us
+        out = self._cables.packed(us, truth.tension, s.q, s.omega)
+        out.append(encode(PayloadState(us, s.x0, s.v0, s.R0, s.Omega0)))
+        return out
 
-def tell(link: Link, ports: tuple[int, int], truth: Truth, n_links: np.ndarray, control_us: int) -> None:
-    """Say what is due, to the controller and to ground stations, on their two `ports`."""
-    to_controller, to_ground = ports
-    for message in low_rate(truth, n_links):
-        link.send(to_ground, SYSTEM, COMPONENT, message)
-        link.send(to_controller, SYSTEM, COMPONENT, message)
-    if truth.boot_us % control_us == 0:
-        for message in high_rate(truth, n_links):
-            link.send(to_controller, SYSTEM, COMPONENT, message)
+    def low_rate(self, truth: Truth) -> list[Packed]:
+        """What is due at this tick for maps and stock tools.
+
+        Heartbeat 1 Hz, pose 10 Hz, cables as plain arrays 2 Hz.
+        """
+        s, us = truth.state, truth.boot_us
+        out: list[Packed] = []
+        if us % HEARTBEAT_US == 0:
+            beat = Heartbeat(
+                mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE
+            )
+            out.append(encode(beat))
+        if us % MAP_US == 0:
+            out.append(encode(VehiclePosition(us // 1000, s.x0, s.v0)))
+            out.append(encode(VehicleAttitude(us // 1000, s.R0, s.Omega0)))
+        if us % ARRAY_US == 0:
+            for i, k in enumerate(self._n_links.tolist()):
+                links = np.concatenate([s.q[i, :k], s.omega[i, :k]], axis=1).ravel()[:ARRAY_FLOATS]
+                data = links.tolist() + [0.0] * (ARRAY_FLOATS - len(links))
+                out.append(pack(mavlink.MAVLink_debug_float_array_message, us, i + 1, b"cable", *data))
+        return out

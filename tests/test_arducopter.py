@@ -262,7 +262,7 @@ class TestThrust:
         b.tick(1, target(thrust=0.05, quat_wxyz=quat))
         boost = min(10.0, 1 / math.cos(math.radians(degrees)))
         assert b.act.throttle**2 == pytest.approx(0.05 * boost, rel=1e-9)
-        assert b.vehicle.snapshot(b.snapshot()).offboard_target[2] == 0.05  # ATTITUDE_TARGET shows it before the boost
+        assert b.snapshot().offboard_target[2] == 0.05  # ATTITUDE_TARGET shows it before the boost
         b.vehicle.parameters.preset("ATC_ANGLE_BOOST", 0)
         b.tick(1, target(thrust=0.05, quat_wxyz=quat))
         assert b.act.throttle**2 == pytest.approx(0.05, rel=1e-9)

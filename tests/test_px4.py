@@ -463,8 +463,8 @@ def test_a_hold_finds_its_height_under_a_load_it_does_not_know() -> None:
 def test_attitude_target_shows_the_setpoint_and_the_size_of_its_thrust() -> None:
     b = flying()
     b.tick(1, target(quat_wxyz=ROLLED_QUAT))
-    R_c, rates, thrust = b.vehicle.snapshot(b.snapshot()).offboard_target
+    R_c, rates, thrust = b.snapshot().offboard_target
     np.testing.assert_allclose(R_c, ROLLED, rtol=0, atol=1e-12)
     assert (rates.any(), thrust) == (False, 0.6)
     b.tick(1, target(thrust=-0.4))
-    assert b.vehicle.snapshot(b.snapshot()).offboard_target[2] == 0.4
+    assert b.snapshot().offboard_target[2] == 0.4

@@ -44,16 +44,12 @@ class Bench:
             if target is not None:
                 self.send(target)
             self.vehicle.tick(self.now)
-            s = self.snapshot()
-            self.act = self.vehicle.actuation(s)
-            out = self.vehicle.outgoing(self.vehicle.snapshot(s), (True, False, False))
+            self.act = self.vehicle.actuation(self.snapshot())
+            out = self.vehicle.outgoing(self.snapshot(), (True, False, False))
             self.heard += [reread(o.message) for o in out if o.link in (0, None)]
 
     def snapshot(self) -> Snapshot:
-        return Snapshot(
-            self.now, self.R, self.Omega, self.point.x, self.point.v, np.zeros(3), 0.0, False, self.vehicle.landed,
-            (self.R, self.Omega, 0.0), Home(),
-        )  # fmt: skip
+        return self.vehicle.snapshot(self.now, self.R, self.Omega, *self.point, np.zeros(3), Home())
 
     def drive(self, seconds: float, pull: Callable[[Point], np.ndarray] | None = None, floor: bool = True) -> None:
         """Let the vehicle fly as a point mass by what it asks of its rotors; `pull` is a cable's force, N."""

@@ -6,9 +6,9 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from bridge.wire import cable_dialect
 
-Message = Any  # a pymavlink message object
+Kind = Any  # a pymavlink message class
 
 mavlink.mavlink_map.update(cable_dialect.mavlink_map)
 CABLE_STATE = cable_dialect.MAVLink_cable_state_message
 
-__all__ = ["CABLE_STATE", "Message", "mavlink"]
+__all__ = ["CABLE_STATE", "Kind", "mavlink"]

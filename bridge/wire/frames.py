@@ -7,19 +7,19 @@ signature is checked before anything that came with it is believed, its time sta
 import hashlib
 from collections.abc import Callable
 from enum import Enum
+from functools import cache
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import fastcrc
 
-from bridge.wire.dialect import Message, mavlink
+from bridge.wire.dialect import Kind, mavlink
 
 checksum: Callable[[bytes], int] = fastcrc.crc16.mcrf4xx
 SIGNATURE_BYTES = 13
 SIGNED = 1  # the one incompatibility flag there is
 FIRST_STAMP_AGE = 6_000_000  # 10 us: the first signed frame of a stream may be a minute old
 SIGNING_EPOCH_S = 1_420_070_400  # 2015-01-01, where signing time stamps begin
-
-_codec = mavlink.MAVLink(None)
 
 
 class Packed(NamedTuple):
@@ -31,18 +31,47 @@ class Packed(NamedTuple):
     payload: bytes  # trailing zeros cut, as MAVLink 2 sends it
 
 
-def pack(kind: type[Any], *fields: Any) -> Packed:
-    """`fields` in wire order, arrays flat, as a message of the pymavlink class `kind`."""
+def pack(kind: Kind, *fields: Any) -> Packed:
+    """`fields` in wire order, arrays flat, as a message of the class `kind`."""
     return Packed(kind.id, kind.msgname, kind.crc_extra, kind.unpacker.pack(*fields).rstrip(b"\0") or b"\0")
 
 
-def packed(message: Message) -> Packed:
-    """A pymavlink message object, packed."""
-    message.pack(_codec)
-    return Packed(message.get_msgId(), message.get_type(), message.crc_extra, bytes(message.get_payload()))
+def packed(kind: Kind, *fields: Any) -> Packed:
+    """`fields` in the order of the message's definition, arrays as sequences; extensions left out are zeros."""
+    places, blank = _layout(kind)
+    given = (*fields, *blank[len(fields) :])
+    flat: list[Any] = []
+    for at, many in places:
+        if many:
+            flat += given[at]
+        else:
+            flat.append(given[at])
+    return pack(kind, *flat)
 
 
-def unpack(kind: type[Any], payload: bytes) -> tuple[Any, ...]:
+@cache
+def _layout(kind: Kind) -> tuple[list[tuple[int, bool]], list[Any]]:
+    """For each field in wire order its place in the definition and whether it is an array; what stands for nothing."""
+    many = [length > 1 for length in kind.lengths]
+    places = sorted((wire, at) for at, wire in enumerate(kind.orders))
+    blank: list[Any] = [
+        b"" if type == "char" else [0] * kind.lengths[wire] if many[wire] else 0
+        for type, wire in zip(kind.fieldtypes, kind.orders, strict=True)
+    ]
+    return [(at, many[wire]) for wire, at in places], blank
+
+
+def fields(kind: Kind, payload: bytes) -> SimpleNamespace:
+    """The fields of a payload by name, arrays as tuples, text as bytes up to its last character."""
+    flat, at, named = unpack(kind, payload), 0, {}
+    for name, length in zip(kind.ordered_fieldnames, kind.lengths, strict=True):
+        value = flat[at] if length == 1 else flat[at : at + length]
+        named[name] = value.rstrip(b"\0") if isinstance(value, bytes) else value
+        at += length
+    return SimpleNamespace(**named)
+
+
+def unpack(kind: Kind, payload: bytes) -> tuple[Any, ...]:
     """The fields of a payload in wire order, arrays flat; what was cut counts as zeros, what is unknown is left out."""
     layout = kind.unpacker
     return tuple(layout.unpack(payload[: layout.size].ljust(layout.size, b"\0")))

@@ -3,12 +3,13 @@
 import math
 import struct
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from bridge.wire.dialect import CABLE_STATE, Message, mavlink
-from bridge.wire.frames import Packed, frame, pack, packed, payload_of
+from bridge.wire.cables import LINKS_PER_FRAME, ROW, packed_rows
+from bridge.wire.dialect import CABLE_STATE, Kind, mavlink
+from bridge.wire.frames import Packed, fields, frame, pack, packed, payload_of
 from bridge.wire.values import (
     AttitudeTarget,
     Battery,
@@ -43,15 +44,18 @@ from bridge.wire.values import (
 from cablequad import lie
 from cablequad.types import Array
 
-LINKS_PER_FRAME = 10
 TEXT_BYTES = 50
 ATTITUDE_AND_THRUST = 7  # type mask: body rates ignored
 
-_UNKNOWN = [math.nan] + [0.0] * 20  # a covariance
+_NO_COVARIANCES = 2 * struct.pack("<21f", math.nan, *[0.0] * 20)
+_ODOMETRY_POSE = struct.Struct("<Q13f")  # before them
 _ATTITUDE = mavlink.MAVLink_attitude_quaternion_message
 _POSITION = mavlink.MAVLink_local_position_ned_message
 _ODOMETRY = mavlink.MAVLink_odometry_message
 _TARGET = mavlink.MAVLink_set_attitude_target_message
+_IMU = mavlink.MAVLink_highres_imu_message
+_ATTITUDE_HEAD = struct.Struct("<I7f")  # as far as it is used
+_FLOAT: Any = np.dtype("<f4")
 _CABLE_HEAD = struct.Struct("<QfBBB")  # before the links
 _ODOMETRY_FRAME = struct.calcsize("<Q55f")  # where its frame_id stands, behind the numbers
 
@@ -66,18 +70,6 @@ def attitude_target(boot_ms: int, system: int, quat_wxyz: Sequence[float], thrus
     if not math.isfinite(w + x + y + z + thrust):
         raise WireError(f"vehicle {system}: non-finite setpoint (thrust {thrust}, quaternion {[w, x, y, z]})")
     return AttitudeTarget(boot_ms, system, 1, ATTITUDE_AND_THRUST, (w, x, y, z), (0.0, 0.0, 0.0), thrust)
-
-
-def cable_frames(shape: CableShape) -> list[CableShape]:
-    """The whole cable in as many values as it takes at ten links a message."""
-    return [
-        shape._replace(
-            first_link=k,
-            q=shape.q[k : k + LINKS_PER_FRAME],
-            omega=shape.omega[k : k + LINKS_PER_FRAME],
-        )
-        for k in range(0, shape.n_links, LINKS_PER_FRAME)
-    ]
 
 
 def text_frames(said: StatusText, id: int) -> list[StatusText]:
@@ -100,21 +92,23 @@ def param_int(value: float) -> int:
     return int(struct.unpack("<i", struct.pack("<f", value))[0])
 
 
-def _heartbeat(v: Heartbeat) -> Message:
-    return mavlink.MAVLink_heartbeat_message(v.type, v.autopilot, v.base_mode, v.custom_mode, v.system_status, 3)
+def _heartbeat(v: Heartbeat) -> Packed:
+    return packed(
+        mavlink.MAVLink_heartbeat_message, v.type, v.autopilot, v.base_mode, v.custom_mode, v.system_status, 3
+    )
 
 
-def _read_heartbeat(m: Message) -> Heartbeat:
+def _read_heartbeat(m: Any) -> Heartbeat:
     return Heartbeat(m.type, m.autopilot, m.base_mode, m.custom_mode, m.system_status)
 
 
 def _attitude(v: VehicleAttitude) -> Packed:
-    return pack(_ATTITUDE, v.boot_ms, *lie.quat_from_rotation(v.R).tolist(), *v.Omega.tolist(), 0.0, 0.0, 0.0, 0.0)
+    return pack(_ATTITUDE, v.boot_ms, *lie.wxyz_from_rotation(v.R), *v.Omega.tolist(), 0.0, 0.0, 0.0, 0.0)
 
 
 def _read_attitude(p: bytes) -> VehicleAttitude:
-    a = _floats(p, 4, 7)
-    return VehicleAttitude(_whole(p, 4), lie.rotation_from_quat(a[:4]), a[4:])
+    boot_ms, w, x, y, z, *rate = _ATTITUDE_HEAD.unpack_from(p)
+    return VehicleAttitude(boot_ms, lie.rotation_from_wxyz(w, x, y, z), np.array(rate))
 
 
 def _position(v: VehiclePosition) -> Packed:
@@ -128,10 +122,9 @@ def _read_position(p: bytes) -> VehiclePosition:
 
 def odometry(boot_us: int, x: Array, v: Array, R: Array, Omega: Array, child: int, estimator: int) -> Packed:
     """ODOMETRY of a body: v is in the world frame, as everywhere here; on the wire it is in the body's."""
-    return pack(
-        _ODOMETRY, boot_us, *x.tolist(), *lie.quat_from_rotation(R).tolist(), *(v @ R).tolist(), *Omega.tolist(),
-        *_UNKNOWN, *_UNKNOWN, mavlink.MAV_FRAME_LOCAL_NED, child, 0, estimator, 100,
-    )  # fmt: skip
+    pose = _ODOMETRY_POSE.pack(boot_us, *x.tolist(), *lie.wxyz_from_rotation(R), *(v @ R).tolist(), *Omega.tolist())
+    rest = bytes((mavlink.MAV_FRAME_LOCAL_NED, child, 0, estimator, 100))
+    return Packed(_ODOMETRY.id, _ODOMETRY.msgname, _ODOMETRY.crc_extra, pose + _NO_COVARIANCES + rest)
 
 
 def _payload(v: PayloadState) -> Packed:
@@ -148,15 +141,17 @@ def _read_payload(p: bytes) -> PayloadState | None:
 
 
 def _cable(v: CableShape) -> Packed:
-    links = np.concatenate([v.q, v.omega], axis=1).ravel().tolist()
-    spare = [0.0] * (6 * LINKS_PER_FRAME - len(links))
-    return pack(CABLE_STATE, v.boot_us, v.tension_N, v.cable, v.n_links, v.first_link, *links, *spare)
+    row, k = np.zeros(1, ROW), len(v.q)
+    row["boot_us"], row["tension_N"] = v.boot_us, v.tension_N
+    row["cable"], row["n_links"], row["first_link"] = v.cable, v.n_links, v.first_link
+    row["links"][0, :k, :3], row["links"][0, :k, 3:] = v.q, v.omega
+    return packed_rows(row)[0]
 
 
 def _read_cable(p: bytes) -> CableShape:
     boot_us, tension, cable, n_links, first = _CABLE_HEAD.unpack_from(p)
     k = max(0, min(LINKS_PER_FRAME, n_links - first))
-    links = _floats(p, _CABLE_HEAD.size, 6 * k).reshape(k, 6)
+    links = np.frombuffer(p, _FLOAT, 6 * k, _CABLE_HEAD.size).reshape(k, 6)
     return CableShape(boot_us, cable, n_links, first, tension, links[:, :3], links[:, 3:])
 
 
@@ -170,67 +165,67 @@ def _read_target(p: bytes) -> AttitudeTarget:
 
 
 def _floats(payload: bytes, at: int, count: int) -> Array:
-    return np.frombuffer(payload, "<f4", count, at).astype(float)
+    return np.frombuffer(payload, _FLOAT, count, at).astype(float)
 
 
 def _whole(payload: bytes, size: int) -> int:
     return int.from_bytes(payload[:size], "little")
 
 
-def _command(v: Command) -> Message:
-    return mavlink.MAVLink_command_long_message(v.system, v.component, v.command, v.confirmation, *v.params)
+def _command(v: Command) -> Packed:
+    return packed(mavlink.MAVLink_command_long_message, v.system, v.component, v.command, v.confirmation, *v.params)
 
 
-def _read_command(m: Message) -> Command:
+def _read_command(m: Any) -> Command:
     params = (m.param1, m.param2, m.param3, m.param4, m.param5, m.param6, m.param7)
     return Command(m.target_system, m.target_component, m.command, params, m.confirmation)
 
 
-def _ack(v: CommandAck) -> Message:
-    return mavlink.MAVLink_command_ack_message(v.command, v.result, 0, 0, v.system, v.component)
+def _ack(v: CommandAck) -> Packed:
+    return packed(mavlink.MAVLink_command_ack_message, v.command, v.result, 0, 0, v.system, v.component)
 
 
-def _read_ack(m: Message) -> CommandAck:
+def _read_ack(m: Any) -> CommandAck:
     return CommandAck(m.command, m.result, m.target_system, m.target_component)
 
 
-def _set_mode(v: SetMode) -> Message:
-    return mavlink.MAVLink_set_mode_message(v.system, v.base_mode, v.custom_mode)
+def _set_mode(v: SetMode) -> Packed:
+    return packed(mavlink.MAVLink_set_mode_message, v.system, v.base_mode, v.custom_mode)
 
 
-def _read_set_mode(m: Message) -> SetMode:
+def _read_set_mode(m: Any) -> SetMode:
     return SetMode(m.target_system, m.base_mode, m.custom_mode)
 
 
-def _param_read(v: ParamRequestRead) -> Message:
-    return mavlink.MAVLink_param_request_read_message(v.system, v.component, v.name.encode(), v.number)
+def _param_read(v: ParamRequestRead) -> Packed:
+    return packed(mavlink.MAVLink_param_request_read_message, v.system, v.component, v.name.encode(), v.number)
 
 
-def _read_param_read(m: Message) -> ParamRequestRead:
+def _read_param_read(m: Any) -> ParamRequestRead:
     return ParamRequestRead(m.target_system, m.target_component, _name(m.param_id), m.param_index)
 
 
-def _param_list(v: ParamRequestList) -> Message:
-    return mavlink.MAVLink_param_request_list_message(v.system, v.component)
+def _param_list(v: ParamRequestList) -> Packed:
+    return packed(mavlink.MAVLink_param_request_list_message, v.system, v.component)
 
 
-def _read_param_list(m: Message) -> ParamRequestList:
+def _read_param_list(m: Any) -> ParamRequestList:
     return ParamRequestList(m.target_system, m.target_component)
 
 
-def _param_set(v: ParamSet) -> Message:
-    return mavlink.MAVLink_param_set_message(v.system, v.component, v.name.encode(), v.value, v.type)
+def _param_set(v: ParamSet) -> Packed:
+    return packed(mavlink.MAVLink_param_set_message, v.system, v.component, v.name.encode(), v.value, v.type)
 
 
-def _read_param_set(m: Message) -> ParamSet:
+def _read_param_set(m: Any) -> ParamSet:
     return ParamSet(m.target_system, m.target_component, _name(m.param_id), m.param_value, m.param_type)
 
 
-def _param_value(v: ParamValue) -> Message:
-    return mavlink.MAVLink_param_value_message(v.name.encode(), v.value, v.type, v.total, v.number)
+def _param_value(v: ParamValue) -> Packed:
+    return packed(mavlink.MAVLink_param_value_message, v.name.encode(), v.value, v.type, v.total, v.number)
 
 
-def _read_param_value(m: Message) -> ParamValue:
+def _read_param_value(m: Any) -> ParamValue:
     return ParamValue(_name(m.param_id), m.param_value, m.param_type, m.param_count, m.param_index)
 
 
@@ -239,88 +234,88 @@ def _name(field: str | bytes) -> str:
     return text.split("\0", 1)[0]
 
 
-def _timesync(v: Timesync) -> Message:
-    return mavlink.MAVLink_timesync_message(v.tc1, v.ts1)
+def _timesync(v: Timesync) -> Packed:
+    return packed(mavlink.MAVLink_timesync_message, v.tc1, v.ts1)
 
 
-def _read_timesync(m: Message) -> Timesync:
+def _read_timesync(m: Any) -> Timesync:
     return Timesync(m.tc1, m.ts1)
 
 
-def _ping(v: Ping) -> Message:
-    return mavlink.MAVLink_ping_message(v.time_us, v.seq, v.system, v.component)
+def _ping(v: Ping) -> Packed:
+    return packed(mavlink.MAVLink_ping_message, v.time_us, v.seq, v.system, v.component)
 
 
-def _read_ping(m: Message) -> Ping:
+def _read_ping(m: Any) -> Ping:
     return Ping(m.time_usec, m.seq, m.target_system, m.target_component)
 
 
-def _statustext(v: StatusText) -> Message:
-    return mavlink.MAVLink_statustext_message(v.severity, v.text.encode()[:TEXT_BYTES], v.id, v.chunk)
+def _statustext(v: StatusText) -> Packed:
+    return packed(mavlink.MAVLink_statustext_message, v.severity, v.text.encode()[:TEXT_BYTES], v.id, v.chunk)
 
 
-def _read_statustext(m: Message) -> StatusText:
+def _read_statustext(m: Any) -> StatusText:
     return StatusText(m.severity, _name(m.text), m.id, m.chunk_seq)
 
 
-def _landed(v: LandedState) -> Message:
-    return mavlink.MAVLink_extended_sys_state_message(0, v.landed)
+def _landed(v: LandedState) -> Packed:
+    return packed(mavlink.MAVLink_extended_sys_state_message, 0, v.landed)
 
 
-def _read_landed(m: Message) -> LandedState:
+def _read_landed(m: Any) -> LandedState:
     return LandedState(m.landed_state)
 
 
-def _origin(v: Origin) -> Message:
+def _origin(v: Origin) -> Packed:
     lat, lon = round(v.latitude_deg * 1e7), round(v.longitude_deg * 1e7)
-    return mavlink.MAVLink_gps_global_origin_message(lat, lon, round(v.altitude_m * 1e3))
+    return packed(mavlink.MAVLink_gps_global_origin_message, lat, lon, round(v.altitude_m * 1e3))
 
 
-def _read_origin(m: Message) -> Origin:
+def _read_origin(m: Any) -> Origin:
     return Origin(m.latitude * 1e-7, m.longitude * 1e-7, m.altitude * 1e-3)
 
 
-def _read_battery(m: Message) -> Battery:
+def _read_battery(m: Any) -> Battery:
     return Battery(m.battery_remaining / 100)
 
 
-def _read_fix(m: Message) -> GpsFix:
+def _read_fix(m: Any) -> GpsFix:
     return GpsFix(m.fix_type)
 
 
-def _mission_list(v: MissionRequestList) -> Message:
-    return mavlink.MAVLink_mission_request_list_message(v.system, v.component, v.type)
+def _mission_list(v: MissionRequestList) -> Packed:
+    return packed(mavlink.MAVLink_mission_request_list_message, v.system, v.component, v.type)
 
 
-def _read_mission_list(m: Message) -> MissionRequestList:
+def _read_mission_list(m: Any) -> MissionRequestList:
     return MissionRequestList(m.target_system, m.target_component, m.mission_type)
 
 
-def _mission_count(v: MissionCount) -> Message:
-    return mavlink.MAVLink_mission_count_message(v.system, v.component, v.total, v.type)
+def _mission_count(v: MissionCount) -> Packed:
+    return packed(mavlink.MAVLink_mission_count_message, v.system, v.component, v.total, v.type)
 
 
-def _read_mission_count(m: Message) -> MissionCount:
+def _read_mission_count(m: Any) -> MissionCount:
     return MissionCount(m.target_system, m.target_component, m.count, m.mission_type)
 
 
-def _mission_clear(v: MissionClear) -> Message:
-    return mavlink.MAVLink_mission_clear_all_message(v.system, v.component, v.type)
+def _mission_clear(v: MissionClear) -> Packed:
+    return packed(mavlink.MAVLink_mission_clear_all_message, v.system, v.component, v.type)
 
 
-def _read_mission_clear(m: Message) -> MissionClear:
+def _read_mission_clear(m: Any) -> MissionClear:
     return MissionClear(m.target_system, m.target_component, m.mission_type)
 
 
-def _mission_ack(v: MissionAck) -> Message:
-    return mavlink.MAVLink_mission_ack_message(v.system, v.component, v.result, v.type)
+def _mission_ack(v: MissionAck) -> Packed:
+    return packed(mavlink.MAVLink_mission_ack_message, v.system, v.component, v.result, v.type)
 
 
-def _read_mission_ack(m: Message) -> MissionAck:
+def _read_mission_ack(m: Any) -> MissionAck:
     return MissionAck(m.target_system, m.target_component, m.type, m.mission_type)
 
 
-def _read_command_int(m: Message) -> Command:
+def _read_command_int(m: Any) -> Command:
     place = (m.x * 1e-7, m.y * 1e-7) if m.frame in _GLOBAL_FRAMES else (m.x * 1e-4, m.y * 1e-4)
     return Command(
         m.target_system, m.target_component, m.command, (m.param1, m.param2, m.param3, m.param4, *place, m.z)
@@ -331,44 +326,50 @@ _GLOBAL_FRAMES = frozenset({0, 3, 5, 6, 10, 11})  # MAV_FRAME_GLOBAL and its kin
 _NAK, _FTP_BYTES = 129, 251
 
 
-def _file_refusal(v: FileRefusal) -> Message:
+def _file_refusal(v: FileRefusal) -> Packed:
     head = struct.pack("<HBBBBBBI", v.seq & 0xFFFF, v.session, _NAK, 1, v.refused_opcode, 0, 0, 0)
     payload = [*head, v.error]
-    return mavlink.MAVLink_file_transfer_protocol_message(
-        0, v.system, v.component, payload + [0] * (_FTP_BYTES - len(payload))
+    return packed(
+        mavlink.MAVLink_file_transfer_protocol_message,
+        0,
+        v.system,
+        v.component,
+        payload + [0] * (_FTP_BYTES - len(payload)),
     )
 
 
-def _read_file(m: Message) -> FileRequest:
+def _read_file(m: Any) -> FileRequest:
     seq, session, opcode = struct.unpack("<HBB", bytes(m.payload[:4]))
     return FileRequest(m.target_system, m.target_component, seq, session, opcode)
 
 
-def _data_stream(v: DataStream) -> Message:
-    return mavlink.MAVLink_request_data_stream_message(v.system, v.component, v.stream, v.rate_hz, int(v.start))
+def _data_stream(v: DataStream) -> Packed:
+    return packed(mavlink.MAVLink_request_data_stream_message, v.system, v.component, v.stream, v.rate_hz, int(v.start))
 
 
-def _read_data_stream(m: Message) -> DataStream:
+def _read_data_stream(m: Any) -> DataStream:
     return DataStream(m.target_system, m.target_component, m.req_stream_id, m.req_message_rate, bool(m.start_stop))
 
 
-def _read_imu(m: Message) -> Imu:
-    return Imu(m.time_usec, np.array((m.xacc, m.yacc, m.zacc)))
+def _read_imu(p: bytes) -> Imu:
+    return Imu(_whole(p, 8), _floats(p, 8, 3))
 
 
-def _version(v: ServerVersion) -> Message:
+def _version(v: ServerVersion) -> Packed:
     major, minor, patch = v.version
     flight = major << 24 | minor << 16 | patch << 8 | 255
     zeros = [0] * 8
-    return mavlink.MAVLink_autopilot_version_message(v.capabilities, flight, 0, 0, 0, zeros, zeros, zeros, 0, 0, v.uid)
+    return packed(
+        mavlink.MAVLink_autopilot_version_message, v.capabilities, flight, 0, 0, 0, zeros, zeros, zeros, 0, 0, v.uid
+    )
 
 
-def _read_version(m: Message) -> ServerVersion:
+def _read_version(m: Any) -> ServerVersion:
     v = m.flight_sw_version
     return ServerVersion(m.capabilities, (v >> 24 & 255, v >> 16 & 255, v >> 8 & 255), m.uid)
 
 
-_PAIRS: list[tuple[type, int, Callable[[Any], Message], Callable[[Message], Any]]] = [
+_PAIRS: list[tuple[type, int, Callable[[Any], Packed], Callable[[Any], Any]]] = [
     (Heartbeat, mavlink.MAVLINK_MSG_ID_HEARTBEAT, _heartbeat, _read_heartbeat),
     (Command, mavlink.MAVLINK_MSG_ID_COMMAND_LONG, _command, _read_command),
     (CommandAck, mavlink.MAVLINK_MSG_ID_COMMAND_ACK, _ack, _read_ack),
@@ -386,58 +387,70 @@ _PAIRS: list[tuple[type, int, Callable[[Any], Message], Callable[[Message], Any]
     (MissionCount, mavlink.MAVLINK_MSG_ID_MISSION_COUNT, _mission_count, _read_mission_count),
     (ServerVersion, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION, _version, _read_version),
 ]
-_HOT: list[tuple[type, type, Callable[[Any], Packed], Callable[[bytes], Any]]] = [
+_HOT: list[tuple[type, Kind, Callable[[Any], Packed], Callable[[bytes], Any]]] = [
     (VehicleAttitude, _ATTITUDE, _attitude, _read_attitude),
     (VehiclePosition, _POSITION, _position, _read_position),
     (PayloadState, _ODOMETRY, _payload, _read_payload),
     (CableShape, CABLE_STATE, _cable, _read_cable),
     (AttitudeTarget, _TARGET, _target, _read_target),
-]  # many times a tick: straight between values and bytes; the others go through pymavlink's objects
-_ENCODE_HOT = {value: write for value, _, write, _ in _HOT}
-_DECODE_HOT: dict[int, tuple[int, Callable[[bytes], Any]]] = {
-    kind.id: (kind.unpacker.size, read)  # type: ignore[attr-defined]
-    for _, kind, _, read in _HOT
-}
-_ENCODE: dict[type, Callable[[Any], Message]] = {kind: write for kind, _, write, _ in _PAIRS}
+]  # many times a tick: read straight from their bytes; the others have their fields by name
+_ENCODE: dict[type, Callable[[Any], Packed]] = {value: write for value, _, write, _ in _PAIRS}
+_ENCODE |= {value: write for value, _, write, _ in _HOT}
 _ENCODE |= {
     MissionAck: _mission_ack,
     MissionClear: _mission_clear,
     FileRefusal: _file_refusal,
     DataStream: _data_stream,
 }
-_DECODE: dict[int, Callable[[Message], Any]] = {number: read for _, number, _, read in _PAIRS}
-_DECODE |= {
+_BY_NAME: dict[int, Callable[[Any], Any]] = {number: read for _, number, _, read in _PAIRS}
+_BY_NAME |= {
     mavlink.MAVLINK_MSG_ID_COMMAND_INT: _read_command_int,
     mavlink.MAVLINK_MSG_ID_MISSION_ACK: _read_mission_ack,
     mavlink.MAVLINK_MSG_ID_MISSION_CLEAR_ALL: _read_mission_clear,
     mavlink.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL: _read_file,
     mavlink.MAVLINK_MSG_ID_REQUEST_DATA_STREAM: _read_data_stream,
-    mavlink.MAVLINK_MSG_ID_HIGHRES_IMU: _read_imu,
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: _read_battery,
     mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: _read_fix,
 }  # one direction only, or not the same value in both
-READABLE = frozenset(_DECODE) | frozenset(_DECODE_HOT)
-_codec = mavlink.MAVLink(None)
+_AS_BYTES: dict[int, tuple[int, Callable[[bytes], Any]]] = {
+    kind.id: (kind.unpacker.size, read)
+    for kind, read in [*((kind, read) for _, kind, _, read in _HOT), (_IMU, _read_imu)]
+}
+
+
+class Known(NamedTuple):
+    """What a receiver needs of a kind of message."""
+
+    name: str
+    crc_extra: bytes
+    read: Callable[[bytes], Any] | None  # the value in a payload; None for a kind that nobody here reads
+
+
+def _reader(kind: Kind) -> Callable[[bytes], Any] | None:
+    hot, by_name = _AS_BYTES.get(kind.id), _BY_NAME.get(kind.id)
+    if hot is not None:
+        size, read = hot  # what was cut counts as zeros, what is unknown is left out
+        return lambda payload: read(payload if len(payload) == size else payload[:size].ljust(size, b"\0"))
+    return None if by_name is None else lambda payload: by_name(fields(kind, payload))
+
+
+KINDS = {
+    number: Known(kind.msgname, bytes((kind.crc_extra,)), _reader(kind)) for number, kind in mavlink.mavlink_map.items()
+}
 
 
 def encode(value: object) -> Packed:
     """The MAVLink message of a value of `bridge.wire.values`. Raises KeyError for anything else."""
-    hot = _ENCODE_HOT.get(type(value))
-    return hot(value) if hot is not None else packed(_ENCODE[type(value)](value))
+    return _ENCODE[type(value)](value)
 
 
 def decode(msgid: int, whole: bytes) -> Any:
     """The value in a frame with a right checksum, or None for a kind that nobody here reads.
 
-    Raises ValueError, ArithmeticError or MAVError where the fields make no sense.
+    Raises ValueError or ArithmeticError where the fields make no sense.
     """
-    hot = _DECODE_HOT.get(msgid)
-    if hot is not None:
-        size, read_payload = hot
-        payload = payload_of(whole)  # what was cut counts as zeros, what is unknown is left out
-        return read_payload(payload if len(payload) == size else payload[:size].ljust(size, b"\0"))
-    read = _DECODE.get(msgid)
-    return None if read is None else read(_codec.decode(bytearray(whole)))
+    kind = KINDS.get(msgid)
+    return None if kind is None or kind.read is None else kind.read(payload_of(whole))
 
 
 def reread(message: Packed) -> Any:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bridge.wire.dialect import Message, mavlink
+from bridge.wire.dialect import mavlink
 from bridge.wire.earth import FIELD_GAUSS, Home, altitude_m, geodetic, pressure_hPa
 from bridge.wire.frames import Packed, pack, packed
 from bridge.wire.messages import encode, odometry
@@ -108,47 +108,45 @@ def _odometry(s: Snapshot) -> Packed:
     return odometry(s.boot_us, s.x, s.v, s.R, s.Omega, child, estimator)
 
 
-def _attitude_target(s: Snapshot) -> Message:
+def _attitude_target(s: Snapshot) -> Packed:
     R_c, rates, thrust = s.offboard_target
-    return mavlink.MAVLink_attitude_target_message(
-        s.boot_ms, 0, lie.quat_from_rotation(R_c).tolist(), *rates.tolist(), abs(thrust)
-    )
+    quat = lie.quat_from_rotation(R_c).tolist()
+    return packed(mavlink.MAVLink_attitude_target_message, s.boot_ms, 0, quat, *rates.tolist(), abs(thrust))
 
 
-def _servos(s: Snapshot) -> Message:
+def _servos(s: Snapshot) -> Packed:
     pwm = round(1000 + 1000 * s.throttle) if s.armed else 1000
-    return mavlink.MAVLink_servo_output_raw_message(s.boot_us & 0xFFFFFFFF, 0, pwm, pwm, pwm, pwm, 0, 0, 0, 0)
+    return packed(mavlink.MAVLink_servo_output_raw_message, s.boot_us & 0xFFFFFFFF, 0, pwm, pwm, pwm, pwm)
 
 
-def _hud(s: Snapshot) -> Message:
-    return mavlink.MAVLink_vfr_hud_message(
-        0.0, math.hypot(s.v[0], s.v[1]), _heading_cdeg(s) // 100, round(100 * s.throttle),
-        s.home.altitude_m - float(s.x[2]), -float(s.v[2]),
-    )  # fmt: skip
+def _hud(s: Snapshot) -> Packed:
+    up = s.home.altitude_m - float(s.x[2]), -float(s.v[2])
+    ground_m_s, heading_deg = math.hypot(s.v[0], s.v[1]), _heading_cdeg(s) // 100
+    return packed(mavlink.MAVLink_vfr_hud_message, 0.0, ground_m_s, heading_deg, round(100 * s.throttle), *up)
 
 
-def _altitude(s: Snapshot) -> Message:
+def _altitude(s: Snapshot) -> Packed:
     local = -float(s.x[2])
     amsl = s.home.altitude_m + local
-    return mavlink.MAVLink_altitude_message(s.boot_us, amsl, amsl, local, _height(s), math.nan, math.nan)
+    return packed(mavlink.MAVLink_altitude_message, s.boot_us, amsl, amsl, local, _height(s), math.nan, math.nan)
 
 
-def _position_target(s: Snapshot) -> Message:
-    nan3 = [math.nan] * 3
-    return mavlink.MAVLink_position_target_local_ned_message(
-        s.boot_ms, mavlink.MAV_FRAME_LOCAL_NED, 0, *nan3, *nan3, *nan3, math.nan, math.nan
+def _position_target(s: Snapshot) -> Packed:
+    return packed(
+        mavlink.MAVLink_position_target_local_ned_message, s.boot_ms, mavlink.MAV_FRAME_LOCAL_NED, 0, *[math.nan] * 11
     )
 
 
-def _gps(s: Snapshot) -> Message:
+def _gps(s: Snapshot) -> Packed:
     x, v = (s.x, s.v) if s.fix is None else s.fix
     lat, lon, alt = _geodetic(s, x)
     speed = math.hypot(v[0], v[1])
     course = round(math.degrees(math.atan2(v[1], v[0])) * 100) % 36000 if speed > 0.1 else _NO_FIELD
     good = s.gps_fix >= 3
     eph, epv, seen = (70, 110, 12) if good else (_NO_FIELD, _NO_FIELD, 0)
-    return mavlink.MAVLink_gps_raw_int_message(
-        s.boot_us, s.gps_fix, lat, lon, alt, eph, epv, round(speed * 100), course, seen
+    return packed(
+        mavlink.MAVLink_gps_raw_int_message,
+        *(s.boot_us, s.gps_fix, lat, lon, alt, eph, epv, round(speed * 100), course, seen),
     )
 
 
@@ -165,11 +163,10 @@ _SENSORS = (
 )
 
 
-def _sys_status(s: Snapshot) -> Message:
+def _sys_status(s: Snapshot) -> Packed:
     volts, left = _volts(s), round(100 * s.battery)
-    return mavlink.MAVLink_sys_status_message(
-        _SENSORS, _SENSORS, _SENSORS, 150, round(4000 * volts), 100, left, 0, 0, 0, 0, 0, 0
-    )
+    seen = (_SENSORS, _SENSORS, _SENSORS)
+    return packed(mavlink.MAVLink_sys_status_message, *seen, 150, round(4000 * volts), 100, left)
 
 
 def _volts(s: Snapshot) -> float:
@@ -181,28 +178,22 @@ def _landed(s: Snapshot) -> Packed:
     return encode(LandedState(s.landed))
 
 
-def _system_time(s: Snapshot) -> Message:
-    return mavlink.MAVLink_system_time_message(s.home.epoch_s * 10**6 + s.boot_us, s.boot_ms)
+def _system_time(s: Snapshot) -> Packed:
+    return packed(mavlink.MAVLink_system_time_message, s.home.epoch_s * 10**6 + s.boot_us, s.boot_ms)
 
 
-def _estimator(s: Snapshot) -> Message:
-    return mavlink.MAVLink_estimator_status_message(s.boot_us, 831, 0.02, 0.02, 0.02, 0.02, 0.0, 0.0, 0.1, 0.1)
+def _estimator(s: Snapshot) -> Packed:
+    return packed(mavlink.MAVLink_estimator_status_message, s.boot_us, 831, 0.02, 0.02, 0.02, 0.02, 0.0, 0.0, 0.1, 0.1)
 
 
-def _battery(s: Snapshot) -> Message:
+def _battery(s: Snapshot) -> Packed:
     cells = [round(1000 * _volts(s))] * 4 + [_NO_FIELD] * 6
-    return mavlink.MAVLink_battery_status_message(0, 0, 1, 2500, cells, 100, 0, -1, round(100 * s.battery))
+    return packed(mavlink.MAVLink_battery_status_message, 0, 0, 1, 2500, cells, 100, 0, -1, round(100 * s.battery))
 
 
-def _home(s: Snapshot) -> Message:
-    return mavlink.MAVLink_home_position_message(
-        *_geodetic(s, s.home_x), *s.home_x.tolist(), [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0, s.boot_us
-    )
-
-
-def _cold(build: Callable[[Snapshot], Message]) -> Callable[[Snapshot], Packed]:
-    """Messages that are rare go through pymavlink's objects."""
-    return lambda s: packed(build(s))
+def _home(s: Snapshot) -> Packed:
+    where = (*_geodetic(s, s.home_x), *s.home_x.tolist())
+    return packed(mavlink.MAVLink_home_position_message, *where, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0, s.boot_us)
 
 
 BUILD: dict[int, Callable[[Snapshot], Packed]] = {
@@ -212,17 +203,17 @@ BUILD: dict[int, Callable[[Snapshot], Packed]] = {
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: _global,
     mavlink.MAVLINK_MSG_ID_HIGHRES_IMU: _imu,
     mavlink.MAVLINK_MSG_ID_ODOMETRY: _odometry,
-    mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET: _cold(_attitude_target),
-    mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: _cold(_servos),
-    mavlink.MAVLINK_MSG_ID_VFR_HUD: _cold(_hud),
-    mavlink.MAVLINK_MSG_ID_ALTITUDE: _cold(_altitude),
-    mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: _cold(_position_target),
-    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: _cold(_gps),
-    mavlink.MAVLINK_MSG_ID_SYS_STATUS: _cold(_sys_status),
+    mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET: _attitude_target,
+    mavlink.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW: _servos,
+    mavlink.MAVLINK_MSG_ID_VFR_HUD: _hud,
+    mavlink.MAVLINK_MSG_ID_ALTITUDE: _altitude,
+    mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: _position_target,
+    mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: _gps,
+    mavlink.MAVLINK_MSG_ID_SYS_STATUS: _sys_status,
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: _landed,
-    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: _cold(_system_time),
-    mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: _cold(_estimator),
-    mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: _cold(_battery),
-    mavlink.MAVLINK_MSG_ID_HOME_POSITION: _cold(_home),
+    mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: _system_time,
+    mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: _estimator,
+    mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: _battery,
+    mavlink.MAVLINK_MSG_ID_HOME_POSITION: _home,
     mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: lambda s: origin(s.home),
 }

@@ -54,7 +54,7 @@ class CableShape(NamedTuple):
     n_links: int  # of the whole cable
     first_link: int  # from 0
     tension_N: float  # of the link at the payload
-    q: Array  # (k, 3) unit, W, quadrotor -> payload
+    q: Array  # (k, 3) unit, W, quadrotor -> payload; of single precision where it came by wire
     omega: Array  # (k, 3) rad/s, W
 
 

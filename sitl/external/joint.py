@@ -95,6 +95,7 @@ class JointServer:
         self._batteries = Batteries(s.batteries, s.system.m * s.system.g)
         signer = Signer(s.signing_key, s.accept_unsigned_telemetry) if s.signing_key is not None else None
         self.link = Link(list(tracker_endpoints(s.port_offset, s.host)), signer)
+        self._tracker = tracker.Tracker(self.link, (0, 1), s.system.n_links, s.control_us)
         self.seats: list[Seat] = []
         try:
             for i, kind in enumerate(external.kinds):
@@ -261,7 +262,7 @@ class JointServer:
 
     def _track(self, truth: Truth) -> None:
         s, now = self.settings, self.now_us
-        tracker.tell(self.link, (0, 1), self._sensors.tracked(truth), s.system.n_links, s.control_us)
+        self._tracker.tell(self._sensors.tracked(truth))
         if now % LANDED_US == 0 or now == self._released_us:
             landed = encode(LandedState(ON_GROUND if self.plant.held else IN_AIR))
             self.link.send(0, tracker.SYSTEM, tracker.COMPONENT, landed)

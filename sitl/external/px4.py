@@ -14,9 +14,9 @@ from typing import NamedTuple
 import numpy as np
 
 from bridge.ports import Address, bind
-from bridge.wire.dialect import Message, mavlink
+from bridge.wire.dialect import mavlink
 from bridge.wire.earth import Home, altitude_m, geodetic
-from bridge.wire.frames import checksum, unpack
+from bridge.wire.frames import Packed, checksum, frame, packed, unpack
 from cablequad import lie
 from sitl.external.seat import Own, SeatError, Tally
 from sitl.instruments import Fix, Instruments
@@ -87,7 +87,7 @@ class Px4Seat:
         self.tally = Tally()
         self.share = (0.0, 0.0, 0.0, 0.0)
         self._home, self._instruments = home, instruments
-        self._mav = mavlink.MAVLink(None, srcSystem=SYSTEM, srcComponent=COMPONENT)
+        self._seq = 0
         self._rest = b""
         self._fix = Fix(np.zeros(3), np.zeros(3))
         self._peer: socket.socket | None = None
@@ -143,8 +143,10 @@ class Px4Seat:
             out.append(self._truth(own))
         assert self._peer is not None
         try:
-            self._peer.sendall(b"".join(message.pack(self._mav) for message in out))
-            self._mav.seq = (self._mav.seq + len(out)) % 256
+            self._peer.sendall(
+                b"".join(frame(message, self._seq + k & 255, SYSTEM, COMPONENT) for k, message in enumerate(out))
+            )
+            self._seq = self._seq + len(out) & 255
             self.tally.answered += 1
         except OSError as error:
             raise SeatError(f"does not take what it is told: {error.strerror}") from None
@@ -179,7 +181,7 @@ class Px4Seat:
             a, b, c, d = (thrust_share(control) for control in said.motors)
             self.share = (a, b, c, d)
 
-    def _sensor(self, own: Own) -> Message:
+    def _sensor(self, own: Own) -> Packed:
         i, fields = self._instruments, ACCEL_GYRO
         altitude = self._home.altitude_m - float(own.x[2])
         mag, hPa = [0.0] * 3, 0.0
@@ -190,27 +192,30 @@ class Px4Seat:
             fields |= BARO
             hPa = i.pressure_hPa(altitude)
             altitude = altitude_m(hPa)
-        return mavlink.MAVLink_hil_sensor_message(
+        return packed(
+            mavlink.MAVLink_hil_sensor_message,
             own.time_us, *i.acceleration(own.specific_force).tolist(), *i.rate(own.Omega).tolist(), *mag, hPa, 0.0,
             altitude, i.temperature_C, fields, 0,
         )  # fmt: skip
 
-    def _gps(self, own: Own) -> Message:
+    def _gps(self, own: Own) -> Packed:
         x, v = self._fix
         lat, lon, alt = geodetic(self._home, x)
         north, east, down = (round(100 * c) for c in v.tolist())
         speed = math.hypot(north, east)
         course = round(math.degrees(math.atan2(east, north)) * 100) % 36000 if speed > 10 else 65535
-        return mavlink.MAVLink_hil_gps_message(
+        return packed(
+            mavlink.MAVLink_hil_gps_message,
             own.time_us, 3, round(lat * 1e7), round(lon * 1e7), round(alt * 1e3), 30, 40, round(speed), north, east,
             down, course, 12,
         )  # fmt: skip
 
-    def _truth(self, own: Own) -> Message:
+    def _truth(self, own: Own) -> Packed:
         lat, lon, alt = geodetic(self._home, own.x)
         cm_s = [max(-32768, min(32767, round(100 * c))) for c in own.v.tolist()]
         mg = [max(-32768, min(32767, round(a / 9.80665e-3))) for a in own.specific_force.tolist()]
-        return mavlink.MAVLink_hil_state_quaternion_message(
+        return packed(
+            mavlink.MAVLink_hil_state_quaternion_message,
             own.time_us, lie.quat_from_rotation(own.R).tolist(), *own.Omega.tolist(), round(lat * 1e7),
             round(lon * 1e7), round(alt * 1e3), *cm_s, 0, 0, *mg,
         )  # fmt: skip

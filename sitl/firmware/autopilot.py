@@ -9,6 +9,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from bridge.wire.dialect import mavlink
+from bridge.wire.earth import Home
 from bridge.wire.frames import Packed, packed
 from bridge.wire.messages import encode, text_frames
 from bridge.wire.telemetry import BUILD, Snapshot
@@ -252,8 +253,8 @@ class Autopilot(ABC):
         match command:
             case M.MAV_CMD_GET_MESSAGE_INTERVAL:
                 asked = max(msgid, 0)
-                message = M.MAVLink_message_interval_message(asked, self.streams[link].interval_us(asked))
-                self._outbox.append(Outgoing(link, packed(message)))
+                interval = packed(M.MAVLink_message_interval_message, asked, self.streams[link].interval_us(asked))
+                self._outbox.append(Outgoing(link, interval))
             case M.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES:
                 self._reply(link, ServerVersion(self.capabilities, self.version, self.system_id))
             case M.MAV_CMD_GET_HOME_POSITION:
@@ -285,15 +286,14 @@ class Autopilot(ABC):
         """What a persona says of it."""
         return
 
-    def snapshot(self, s: Snapshot) -> Snapshot:
-        """`s` with what only the flight controller knows."""
-        return s._replace(
-            throttle=self._throttle,
-            armed=self.armed,
-            landed=self.landed,
-            offboard_target=self._commanded,
-            home_x=self._home,
-        )
+    def snapshot(
+        self, boot_us: int, R: Array, Omega: Array, x: Array, v: Array, specific_force: Array, home: Home
+    ) -> Snapshot:
+        """What the vehicle knows of itself, where it is and moves like this; see Snapshot."""
+        return Snapshot(
+            boot_us, R, Omega, x, v, specific_force, self._throttle, self.armed, self.landed, self._commanded, home,
+            self._home,
+        )  # fmt: skip
 
     def will_tell(self, msgid: int, now_us: int) -> bool:
         """Whether a message of this kind goes out at this tick, as things stand."""

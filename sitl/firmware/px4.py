@@ -300,7 +300,7 @@ class Px4(Autopilot):
         if not math.isfinite(size) or size < 1e-12:
             self._warn("Offboard: invalid quaternion, attitude uncontrolled")
             return Actuation(s.R, s.Omega.copy(), throttle, True)
-        R_c = lie.rotation_from_quat(np.array(target.quat_wxyz))
+        R_c = lie.rotation_from_wxyz(w, x, y, z)
         yaw_rate = target.rates[2]
         if mask & 4 or not math.isfinite(yaw_rate):
             return Actuation(R_c, NO_RATE, throttle, False)

@@ -1,0 +1,45 @@
+"""A value that is handed to compiled code as one pointer: many arrays one by one cost more than a tick's arithmetic."""
+
+from typing import Any, Generic, TypeVar
+
+from numba.core import types
+from numba.experimental import structref
+
+from cablequad._jit import config, jit
+
+T = TypeVar("T")
+
+
+class Held(structref.StructRefProxy, Generic[T]):
+    """Holds one `value`, a tuple of arrays; made by `hold`. Arrays are shared with whoever made them."""
+
+    value: T
+
+    def __new__(cls, value: T) -> "Held[T]":
+        made: Held[T] = structref.StructRefProxy.__new__(cls, value)  # type: ignore[no-untyped-call]
+        return made
+
+
+@structref.register
+class _HeldType(types.StructRef):
+    """Its type in compiled code, where `.value` reads it."""
+
+
+structref.define_proxy(Held, _HeldType, ["value"])  # type: ignore[no-untyped-call]
+
+
+@jit
+def _made(value: Any) -> Any:
+    return Held(value)
+
+
+class _Plain(Generic[T]):
+    def __init__(self, value: T) -> None:
+        self.value = value
+
+
+def hold(value: T) -> Held[T]:
+    """`value`, held. Compiled code takes it as an argument of its own and reads `.value`."""
+    made: Any = _Plain(value) if config.DISABLE_JIT else _made(value)
+    out: Held[T] = made
+    return out
