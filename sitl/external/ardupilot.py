@@ -10,7 +10,6 @@ e = MOT_THST_EXPO. Rotor speed goes with the root of t. So a throttle of F / F_m
 
 import socket
 import struct
-import time
 from typing import NamedTuple
 
 from bridge.ports import Address, bind
@@ -23,7 +22,6 @@ HEADER = struct.Struct("<HHI")
 SIZE = {MAGIC_16: HEADER.size + 2 * 16, MAGIC_32: HEADER.size + 2 * 32}
 HIGHEST_PWM = 2500  # us; 0 is a channel without output
 MOTORS = 4
-ASKS_AGAIN_S = 0.5  # SITL does so after one
 EXPO, SPIN_MIN, SPIN_MAX = 0.65, 0.15, 0.95  # ArduCopter's defaults
 
 
@@ -87,7 +85,6 @@ class ArduPilotSeat:
         self._frame = -1
         self._address: Address | None = None
         self._waits = False  # for the answer to its newest frame
-        self._asked = 0.0  # wall clock, when that came
         self._answer = b""
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
@@ -131,9 +128,8 @@ class ArduPilotSeat:
         return self._waits
 
     def tell(self, own: Own) -> None:
-        if time.monotonic() > self._asked + ASKS_AGAIN_S:
-            while self._hear_one():  # it has asked again meanwhile: one answer for all, or it would lag behind
-                pass
+        while self._hear_one():  # if it has asked again meanwhile: one answer for all, as each makes it ask once more
+            pass
         self._answer = line(own)
         self._waits = False
         self._reply()
@@ -154,7 +150,6 @@ class ArduPilotSeat:
             return
         self.tally.taken += 1
         self._address, self._frame, self._waits = address, packet.frame, True
-        self._asked = time.monotonic()
         a, b, c, d = (thrust_share(p) for p in packet.pwm[:MOTORS])
         self.share = (a, b, c, d)
 
