@@ -32,6 +32,18 @@ EPOCH_NS = 1_700_000_000_000_000_000  # log_time of the vehicles' clock at zero,
 TRACKER = 200
 
 
+class _Rooms(dict[int, str]):
+    """Topics of frames one way, by the other system."""
+
+    def __init__(self, way: str) -> None:
+        self._way = way
+
+    def __missing__(self, system: int) -> str:
+        who = "payload" if system == TRACKER else f"quad{system}"
+        topic = self[system] = f"/mavlink/{who}/{self._way}"
+        return topic
+
+
 class RecorderError(Exception):
     """A recording that cannot begin; the message says why and what to do."""
 
@@ -95,7 +107,7 @@ class Recorder:
         self._model = model
         self._epoch_ns = epoch_ns
         self._channels: dict[str, int] = {}
-        self._rooms: dict[tuple[str, int], str] = {}  # topics of frames by direction and the other system
+        self._rooms = {way: _Rooms(way) for way in ("rx", "tx")}
         self._waiting = Waiting()
         self._last_tf_ns = -TF_NS
         self._first = True  # of these
@@ -131,15 +143,10 @@ class Recorder:
                 told[k].append(("/tf", data))
         return told
 
-    def frames(self, boot_us: int, direction: str, frames: Sequence[tuple[int, bytes]]) -> None:
-        """Frames that came in ("rx") or went out ("tx"), each with the system it came from or went to."""
-        log_time, put = self._epoch_ns + 1000 * boot_us, self._waiting.put
-        for other, whole in frames:
-            topic = self._rooms.get((direction, other))
-            if topic is None:
-                who = "payload" if other == TRACKER else f"quad{other}"
-                topic = self._rooms[direction, other] = f"/mavlink/{who}/{direction}"
-            put(topic, log_time, whole, True)
+    def frames(self, boot_us: int, direction: str, systems: Sequence[int], frames: Sequence[bytes]) -> None:
+        """Frames that came in ("rx") or went out ("tx"), and for each the system it came from or went to."""
+        rooms = self._rooms[direction]
+        self._waiting.put_frames([rooms[system] for system in systems], self._epoch_ns + 1000 * boot_us, frames)
 
     def decided(self, d: Decisions, off: Difference | None = None, known: Sequence[int] = ()) -> list[list[Message]]:
         """What is to be written of each decision, for `write`.

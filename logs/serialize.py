@@ -136,12 +136,19 @@ class Waiting:
         self.log_times: list[int] = []
         self.enveloped: list[bool] = []
 
-    def put(self, topic: str, log_time: int, body: bytes, enveloped: bool = False) -> None:
-        """One more; a MAVLink frame may be given bare, to be `enveloped` as a cablequad.MavlinkFrame."""
+    def put(self, topic: str, log_time: int, body: bytes) -> None:
+        """One more."""
         self.bodies.append(body)
         self.topics.append(topic)
         self.log_times.append(log_time)
-        self.enveloped.append(enveloped)
+        self.enveloped.append(False)
+
+    def put_frames(self, topics: Sequence[str], log_time: int, frames: Sequence[bytes]) -> None:
+        """Bare MAVLink frames, to be written each in a cablequad.MavlinkFrame around it."""
+        self.bodies += frames
+        self.topics += topics
+        self.log_times += [log_time] * len(frames)
+        self.enveloped += [True] * len(frames)
 
 
 class Names:

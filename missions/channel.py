@@ -2,6 +2,7 @@
 
 import math
 import pickle
+import struct
 from collections.abc import Sequence
 from typing import Any, NamedTuple, Protocol
 
@@ -36,6 +37,7 @@ class Failure:
 
 Message = Truth | Event
 Status = Report | Ready | Failure
+_NUMBERS = struct.Struct("=4d")
 Shapes = tuple[tuple[int, ...], ...]
 
 
@@ -52,8 +54,7 @@ def put(channel: Sender, messages: Sequence[Message]) -> None:
     parts: list[Event | tuple[int, bool, bytes]] = []
     for m in messages:
         if isinstance(m, Truth):
-            fields = [*m.state, m.x, m.v, m.tension, m.thrust]
-            parts.append((m.boot_us, m.held, np.concatenate([field.ravel() for field in fields]).tobytes()))
+            parts.append((m.boot_us, m.held, _joined((*m.state, m.x, m.v, m.tension, m.thrust))))
         else:
             parts.append(m)
     channel.send_bytes(pickle.dumps(parts, 5))
@@ -73,8 +74,7 @@ def take_motions(told: Sequence[Told], n: int, L: int) -> Motion:
 
 def put_sample(sample: Sample) -> bytes:
     """A decision as bytes; with its `sample_shapes`, `take_samples` reads them."""
-    numbers = np.array((sample.t, sample.Psi_0, sample.e_q, sample.e_omega))
-    return np.concatenate([numbers, *[array.ravel() for array in _arrays(sample)]]).tobytes()
+    return _NUMBERS.pack(sample.t, sample.Psi_0, sample.e_q, sample.e_omega) + _joined(_arrays(sample))
 
 
 def sample_shapes(sample: Sample) -> Shapes:
@@ -94,6 +94,14 @@ def take_samples(rows: Sequence[bytes], shapes: Shapes) -> Sample:
 
 def _arrays(s: Sample) -> tuple[Array, ...]:
     return (*s.state, *s.reference, *s.memory, *s.error, s.A, s.R_c, s.f, s.Psi, s.R_0d, s.q_d)
+
+
+def _joined(arrays: Sequence[Array]) -> bytes:
+    """The numbers of all, one array after the other."""
+    try:
+        return b"".join(arrays)  # type: ignore[arg-type]
+    except BufferError:  # one of them is a view that skips some
+        return b"".join([array.tobytes() for array in arrays])
 
 
 def _split(rows: Sequence[bytes], shapes: Sequence[tuple[int, ...]]) -> list[Array]:

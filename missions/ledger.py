@@ -83,7 +83,7 @@ class Ledger:
         for kind, boot_us, *rest in batch:
             match kind:
                 case "rx" | "tx":
-                    self._recorder.frames(boot_us, kind, rest[0])
+                    self._recorder.frames(boot_us, kind, *rest)
                 case "decided":
                     self._write_truth(boot_us)
                     self._recorder.write(boot_us, next(decided))

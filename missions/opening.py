@@ -64,6 +64,7 @@ def opening(flight: Flight, design: Design, out: Path, lockstep: bool, connected
         s.epoch_s * 10**9,
         with_truth=not connected,
         standing=standing(flight),
+        in_gaps=lockstep,
         target_m=(float(s.target.position_m[0]), float(s.target.position_m[1]), float(s.target.position_m[2])),
     )
 

@@ -29,14 +29,16 @@ from logs.encode import Model, Motion
 from logs.recorder import FLUSH_S, Attachment, Recorder, RecorderError
 from missions.channel import put_sample, sample_shapes
 from missions.children import begin
+from missions.gaps import in_gaps
 from missions.ledger import Judged, Ledger
 from missions.tracking import Standing
 
 PIPE_BYTES = 1 << 20  # what may wait for the scribe before the control loop does
 TOGETHER = 16  # decisions in one write, as a wake-up of the scribe costs more than what it is told
 WAIT_S = 0.06  # wall clock, that a decision waits for others at most
-AT_ONCE = 512  # entries that are written together, which costs less for each
+AT_ONCE = 256  # entries that are written together, which costs less for each
 BATCH = 128  # entries that wait at most, where no tick is answered
+LATE_S = 0.5  # that a step may take in the gaps of the processors
 START_S = 60.0
 
 
@@ -51,6 +53,7 @@ class Opening(NamedTuple):
     with_truth: bool
     target_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     standing: Standing | None = None  # of a mission
+    in_gaps: bool = False  # written in the gaps that a flight in lockstep leaves on the processors
 
 
 class Closing(NamedTuple):
@@ -97,11 +100,11 @@ class Scribe:
 
     def received(self, boot_us: int, frames: Sequence[Received]) -> None:
         """Frames that came in."""
-        self._put("rx", boot_us, [(f.system, f.frame) for f in frames])
+        self._put("rx", boot_us, bytes([f.system for f in frames]), [f.frame for f in frames])
 
     def sent(self, boot_us: int, frames: Sequence[tuple[int, Sent]]) -> None:
         """Frames that went out, each with the system it went to."""
-        self._put("tx", boot_us, [(to, frame.frame) for to, frame in frames])
+        self._put("tx", boot_us, bytes([to for to, _ in frames]), [frame.frame for _, frame in frames])
 
     def decided(self, boot_us: int, sample: Sample, tension: list[float], phase: str, age_s: float) -> None:
         """A control decision, which ends a tick."""
@@ -216,38 +219,67 @@ def _child(down: Connection, up: Connection, truth: Connection) -> None:
     _encode_once(opening.model)
     up.send("ready")
     ledger = Ledger(recorder, opening.model, truth, opening.target_m, opening.standing)
-    told_error = False
-    batch: list[tuple] = []
-    flushed = time.monotonic()
-    while True:
+    writing = _Writing(recorder, ledger, down, up)
+    if opening.in_gaps:
+        in_gaps(writing)
+    else:
+        writing.run()
+
+
+class _Writing:
+    """Takes what comes and writes it, until it has ended."""
+
+    def __init__(self, recorder: Recorder, ledger: Ledger, down: Connection, up: Connection) -> None:
+        self.leave = self.done = False
+        self._recorder, self._ledger, self._down, self._up = recorder, ledger, down, up
+        self._batch: list[tuple] = []
+        self._flushed = time.monotonic()
+        self._begun: float | None = None  # the step that is being made
+        self._told_error = False
+
+    @property
+    def late(self) -> bool:
+        """Whether a step takes as long as what a flush keeps."""
+        begun = self._begun
+        return begun is not None and time.monotonic() > begun + LATE_S
+
+    def run(self) -> None:
+        """Until the recording has ended, or `leave`."""
+        while not self.done and not self.leave:
+            self._step()
+            self._begun = None
+
+    def _step(self) -> None:
         try:
-            ready = wait(ledger.sources(down), max(0.0, flushed + FLUSH_S - time.monotonic()))
-            ledger.listen(ready)
-            if down in ready:
-                batch += pickle.loads(down.recv_bytes())
+            ready = wait(self._ledger.sources(self._down), max(0.0, self._flushed + FLUSH_S - time.monotonic()))
+            self._begun = time.monotonic()
+            self._ledger.listen(ready)
+            if self._down in ready:
+                self._batch += pickle.loads(self._down.recv_bytes())
         except (EOFError, OSError):
-            ledger.take(batch)
-            ledger.end_truth(False)
-            recorder.finish()
+            self._ledger.take(self._batch)
+            self._ledger.end_truth(False)
+            self._recorder.finish()
+            self.done = True
             return
-        now = time.monotonic()
+        now, batch = time.monotonic(), self._batch
         last = batch[-1] if batch and batch[-1][0] in ("truth ends", "finish") else None  # nothing follows these
-        due = now >= flushed + FLUSH_S
+        due = now >= self._flushed + FLUSH_S
         if last is None and not due and len(batch) < AT_ONCE:
-            continue  # what waits would be lost with an open chunk as well
-        ledger.take(batch if last is None else batch[:-1])
-        batch = []
+            return  # what waits would be lost with an open chunk as well
+        self._batch = []
+        self._ledger.take(batch if last is None else batch[:-1])
         if due:
-            recorder.flush()
-            flushed = now
+            self._recorder.flush()
+            self._flushed = now
         if last is not None and last[0] == "truth ends":
-            ledger.end_truth(last[2])
-            up.send(ledger.judged)
+            self._ledger.end_truth(last[2])
+            self._up.send(self._ledger.judged)
         elif last is not None:
-            recorder.metadata("result", last[2])
-            path = recorder.finish()
-            up.send(Closing(str(path), recorder.error))
-            return
-        if recorder.error is not None and not told_error:
-            told_error = True
-            up.send(recorder.error)
+            self._recorder.metadata("result", last[2])
+            path = self._recorder.finish()
+            self._up.send(Closing(str(path), self._recorder.error))
+            self.done = True
+        elif self._recorder.error is not None and not self._told_error:
+            self._told_error = True
+            self._up.send(self._recorder.error)

@@ -25,8 +25,8 @@ class Track:
     def decided(self, sample: Sample) -> None:
         """Take one decision of the flight."""
         self.last = sample
-        self.max_psi = max(self.max_psi, float(sample.Psi.max()))
-        self.max_thrust_N = max(self.max_thrust_N, float(sample.f.max()))
+        self.max_psi = max(self.max_psi, *sample.Psi.tolist())
+        self.max_thrust_N = max(self.max_thrust_N, *sample.f.tolist())
         s, wanted = sample.state, sample.reference.x0
         self.following.take(sample.t, s.x0.tolist(), s.v0.tolist(), wanted.tolist())
 

@@ -63,7 +63,7 @@ def write(path: Path, ticks: int, epoch_ns: int = recorders.EPOCH_NS) -> Recorde
         memory, sample = tick(memory, Measurement(us * 1e-6, m.state), Reference(np.zeros(3), np.zeros(3)), DESIGN)
         out.write(us, out.truths([us], [False], single(m))[0])
         decide(out, us, sample, difference(sample.state, motion(0.001 * k + 1e-4).state, SYSTEM.n_links))
-        out.frames(us, "tx", [(1, SETPOINT[:4] + bytes([k & 255]) + SETPOINT[5:])])
+        out.frames(us, "tx", [1], [SETPOINT[:4] + bytes([k & 255]) + SETPOINT[5:]])
         if k % 250 == 0:
             out.perf(us, 1e-4, k, 0)
         out.settle()
@@ -151,7 +151,7 @@ def test_what_many_messages_are_written_as_is_what_the_libraries_write_of_each(
             frame=whole, msgid=number, sysid=3, compid=k, seq=seq, name=names.get(number, "")
         )  # fmt: skip
         times = 10**18 + (msgid ^ 5)
-        waiting.put(("/a", "/b")[k % 2], times, whole, True)
+        waiting.put_frames([("/a", "/b")[k % 2]], times, [whole])
         waiting.put("/c", times, body)
         one_by_one.add_message(channels[k % 2], times, message.SerializeToString(), 5)
         one_by_one.add_message(channels[2], times, body, 5)
@@ -307,10 +307,10 @@ def test_a_full_disk_ends_the_recording_with_a_line_and_keeps_what_was_flushed(
     for k in range(40):
         for _ in range(20):
             out.write(10**6, out.truths([10**6 + 4000 * k], [False], single(motion(0.5)))[0])
-            out.frames(10**6, "tx", [(1, b"\xfe" + np.random.default_rng(k).bytes(2000))])
+            out.frames(10**6, "tx", [1], [b"\xfe" + np.random.default_rng(k).bytes(2000)])
         out.flush()
     assert out.error is not None
-    out.frames(10**6, "rx", [(9, SETPOINT)])  # of a topic that there was not: it has nowhere to go
+    out.frames(10**6, "rx", [9], [SETPOINT])  # of a topic that there was not: it has nowhere to go
     out.flush()
     path = out.finish()
     assert "No space left on device" in out.error
