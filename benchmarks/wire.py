@@ -24,12 +24,14 @@ from bridge import decide
 from bridge.fleet import Fleet
 from bridge.link import Link
 from bridge.observe import Observer
-from bridge.wire.cables import Cables
 from bridge.wire.dialect import mavlink
-from bridge.wire.frames import Packed, frame
+from bridge.wire.frames import frame
+from bridge.wire.load import LoadReport
 from bridge.wire.messages import decode, encode
 from bridge.wire.values import AttitudeTarget, CableShape, PayloadState, VehicleAttitude, VehiclePosition
 from cablequad import lie
+from cablequad.instant import row
+from cablequad.state import State
 from missions import scenario as scenarios
 from missions import simulate
 from missions.run import Options, Progress, run
@@ -50,7 +52,9 @@ HOT: list[Any] = [
 ]
 
 
-FOUR_CABLES = Cables(np.full(4, 5))
+FOUR_CABLES, SENDERS = LoadReport(np.full(4, 5)), bytes(5)  # whose sheet holds the load's ODOMETRY as well
+STILL, LINKS = np.zeros((4, 3)), np.tile(V, (4, 5, 1))
+MOVING = row(State(V, V, R, V, LINKS, LINKS, np.tile(R, (4, 1, 1)), STILL), STILL, STILL, np.ones((4, 5)), np.ones(4))
 
 
 def best_us(call: Callable[[], object], number: int = 2000) -> float:
@@ -64,12 +68,12 @@ def best_us(call: Callable[[], object], number: int = 2000) -> float:
     return min(times) * 1e6
 
 
-def written(value: Any) -> list[Packed]:
-    """The messages of a value; of cables those of a fleet's four, as the tracker makes them."""
-    if not isinstance(value, CableShape):
-        return [encode(value)]
-    links = np.tile(V, (4, 5, 1))
-    return FOUR_CABLES.packed(value.boot_us, np.full((4, 5), value.tension_N), links, links)
+def framed(value: Any) -> list[bytes]:
+    """The frames of a value; those of a load and its cables as the tracker makes them, all five at once."""
+    if not isinstance(value, CableShape | PayloadState):
+        return [frame(encode(value), 0, 1, 1)]
+    FOUR_CABLES.tell(value.boot_us, MOVING)
+    return FOUR_CABLES.framed(SENDERS, SENDERS, 1, 0)
 
 
 def codec() -> list[dict[str, Any]]:
@@ -87,8 +91,7 @@ def codec() -> list[dict[str, Any]]:
             {
                 "message": packed.name,
                 "bytes": len(whole),
-                "out_us": best_us(lambda value=value: [frame(m, 0, 1, 1) for m in written(value)])
-                / len(written(value)),
+                "out_us": best_us(lambda value=value: framed(value)) / len(framed(value)),
                 "in_us": best_us(lambda packed=packed, whole=whole: decode(packed.msgid, whole)),
                 "pymavlink_out_us": best_us(lambda kind=kind, fields=fields: kind(*fields).pack(peer)),
                 "pymavlink_in_us": best_us(lambda whole=whole: peer.parse_buffer(whole)),
@@ -149,10 +152,11 @@ BRIDGE = [
     (Scribe, "decided", "record"),
 ]
 VEHICLES = [
-    (Link, "poll", "socket and wait"), (Link, "flush", "socket"), (Link, "_split", "codec"), (Link, "send", "codec"),
+    (Link, "poll", "socket and wait"), (Link, "flush", "socket"), (Link, "_split", "codec"), (Link, "put", "codec"),
     (Plant, "advance", "physics"), (Plant, "truth", "physics"), (Plant, "kinematics", "physics"),
     (Plant, "specific_force", "physics"), (Plant, "command", "physics"), (Autopilot, "outgoing", "codec"),
     (Autopilot, "handle", "protocol"), (Tracker, "tell", "codec"),
+    (Link, "put_all", "codec"),
     (simulate, "put", "record"),
 ]  # fmt: skip
 _real_child = simulate._child
@@ -195,9 +199,9 @@ def main() -> None:
     table = Table(title="us a message, value to bytes and back", title_justify="left")
     for column in ("message", "bytes", "out", "in", "pymavlink out", "pymavlink in"):
         table.add_column(column, justify="left" if column == "message" else "right")
-    for row in rows:
-        us = (f"{row[k]:.2f}" for k in ("out_us", "in_us", "pymavlink_out_us", "pymavlink_in_us"))
-        table.add_row(row["message"], str(row["bytes"]), *us)
+    for entry in rows:
+        us = (f"{entry[k]:.2f}" for k in ("out_us", "in_us", "pymavlink_out_us", "pymavlink_in_us"))
+        table.add_row(entry["message"], str(entry["bytes"]), *us)
     console.print(table)
     handle = handling_us()
     whole = sum(row["out_us"] + row["in_us"] for row in rows) / len(rows) + handle

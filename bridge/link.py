@@ -8,11 +8,13 @@ import select
 import selectors
 import socket
 import time
+from collections.abc import Sequence
 from typing import Any, NamedTuple, cast
 
 from bridge.ports import Address, Endpoint, LinkError, Port, StreamPort, open_port
-from bridge.wire.frames import Packed, Signer, Verdict, checksum, frame, targeted
+from bridge.wire.frames import SIGNED, Packed, Signer, Verdict, checksum, frame, targeted
 from bridge.wire.messages import KINDS
+from bridge.wire.sheets import Sheet
 
 __all__ = ["Address", "Counters", "Endpoint", "Link", "LinkError", "Received", "Sent"]
 
@@ -139,20 +141,23 @@ class Link:
         self, port: int, system: int, component: int, message: Packed, to: Address | None = None
     ) -> tuple[int, bytes]:
         """Queue one message as (system, component) for one address, or for everyone on the port; see `flush`."""
-        key = port << 16 | system << 8 | component
-        seq = self._next_seq.get(key, 0)
-        self._next_seq[key] = (seq + 1) & 255
+        seq = self._numbered(port, system, component)
         whole = frame(message, seq, system, component, self.signer, port & 255)
-        queue = self._queue
-        for address in (to,) if to is not None else self.ports[port].addresses():
-            waiting = queue.get((port, address))
-            if waiting is None:
-                queue[port, address] = [whole]
-            else:
-                waiting.append(whole)
-            self.counters.sent_on[port] += 1
-        self.counters.sent += 1
+        self._enqueue(port, whole, to)
         return seq, whole
+
+    def put_all(
+        self, ports: Sequence[int], systems: bytes, component: int, sheet: Sheet,
+        to: Sequence[Address | None] | None = None,
+    ) -> list[bytes]:  # fmt: skip
+        """`put` of every message of a sheet, each on its port, as its system, for its address; their frames."""
+        seqs = bytes([self._numbered(port, system, component) for port, system in zip(ports, systems, strict=True)])
+        frames = sheet.framed(seqs, systems, component, 0 if self.signer is None else SIGNED)
+        if self.signer is not None:
+            frames = [whole + self.signer.signature(whole, p & 255) for p, whole in zip(ports, frames, strict=True)]
+        for k, whole in enumerate(frames):
+            self._enqueue(ports[k], whole, None if to is None else to[k])
+        return frames
 
     def flush(self) -> None:
         """Put what is queued on the wire, in as few datagrams as hold it."""
@@ -177,6 +182,23 @@ class Link:
         self._selector.close()
         for port in self.ports:
             port.close()
+
+    def _numbered(self, port: int, system: int, component: int) -> int:
+        key = port << 16 | system << 8 | component
+        seq = self._next_seq.get(key, 0)
+        self._next_seq[key] = (seq + 1) & 255
+        return seq
+
+    def _enqueue(self, port: int, whole: bytes, to: Address | None) -> None:
+        queue = self._queue
+        for address in (to,) if to is not None else self.ports[port].addresses():
+            waiting = queue.get((port, address))
+            if waiting is None:
+                queue[port, address] = [whole]
+            else:
+                waiting.append(whole)
+            self.counters.sent_on[port] += 1
+        self.counters.sent += 1
 
     def _put(self, port: Port, frames: list[bytes], address: Address) -> None:
         if not port.send(b"".join(frames), address):

@@ -10,6 +10,7 @@ from cablequad.air import Air, drag
 from cablequad.attitude import Airframe, Setpoint, fly, moments
 from cablequad.ground import Ground, advance_on, kept
 from cablequad.held import Held
+from cablequad.instant import row
 from cablequad.integrate import Command, Scratch, advance, look
 from cablequad.rotors import Rotors, drive, spin
 from cablequad.state import State
@@ -44,23 +45,27 @@ class Whole(NamedTuple):
     work: Scratch
 
 
-Seen = tuple[Array, Array, Array]  # of `integrate.look`
+@jit
+def seen(system: System, state: State, thrust: Array, work: Scratch) -> Array:
+    """`integrate.look`, and all else of the instant, as an `instant.row`."""
+    x, v, tension = look(system, state, thrust, work)
+    return row(state, x, v, tension, thrust)
 
 
 @jit
-def fly_alone(held: Held[Whole], setpoint: Setpoint, h: float, steps: int) -> Seen:
-    """`attitude.fly` with nothing around, and what is to be seen then.
+def fly_alone(held: Held[Whole], setpoint: Setpoint, h: float, steps: int) -> Array:
+    """`attitude.fly` with nothing around, and what is `seen` then.
 
     The setpoint's thrusts are within the rotors' limits.
     """
     w = held.value
     fly(w.system, w.airframe, setpoint, w.state, h, steps, w.work)
     w.command.thrust[:] = setpoint.thrust
-    return look(w.system, w.state, setpoint.thrust, w.work)
+    return seen(w.system, w.state, setpoint.thrust, w.work)
 
 
 @jit
-def fly_in(held: Held[Whole], setpoint: Setpoint, h: float, wind: Array) -> Seen:
+def fly_in(held: Held[Whole], setpoint: Setpoint, h: float, wind: Array) -> Array:
     """`fly_alone` in a world whose air moves with `wind` (steps, 3) m/s, W, held over each step of `h` s."""
     w = held.value
     system, state, world, command, work = w.system, w.state, w.world, w.command, w.work
@@ -83,7 +88,7 @@ def fly_in(held: Held[Whole], setpoint: Setpoint, h: float, wind: Array) -> Seen
             advance_on(system, state, command, h, world.ground, kept(work), work)
         else:
             advance(system, state, command, h, 1, work)
-    return look(system, state, command.thrust, work)
+    return seen(system, state, command.thrust, work)
 
 
 @jit

@@ -11,8 +11,9 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.timestamp_pb2 import Timestamp
 
 from cablequad import lie
+from cablequad.instant import Motion
 from cablequad.pilot import Sample
-from cablequad.state import Difference, State, link_poses
+from cablequad.state import Difference, link_poses
 from cablequad.system import System
 from cablequad.types import Array, Bytes, Counts
 from logs import layout
@@ -34,16 +35,6 @@ class Model(NamedTuple):
     box: tuple[float, float, float]  # m, edges of the payload
     max_thrust: tuple[float, ...]  # N
     target_quat_wxyz: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)  # the load's attitude at the target
-
-
-class Motion(NamedTuple):
-    """Where everything is at one instant."""
-
-    state: State
-    x: Array  # (n, 3) m, quadrotors
-    v: Array  # (n, 3) m/s
-    tension: Array  # (n, L) N
-    thrust: Array  # (n,) N
 
 
 def color(i: int) -> tuple[int, int, int]:

@@ -17,10 +17,11 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from mcap_protobuf.schema import build_file_descriptor_set
 
+from cablequad.instant import Motion
 from cablequad.pilot import Sample
 from cablequad.state import Difference
 from logs import encode
-from logs.encode import Model, Motion
+from logs.encode import Model
 from logs.schema import cablequad_pb2 as pb
 from logs.serialize import LogWriter, Waiting
 

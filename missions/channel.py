@@ -1,6 +1,5 @@
 """Truth, events and decisions as bytes, for the one-way pipes to the scribe."""
 
-import math
 import pickle
 import struct
 from collections.abc import Sequence
@@ -8,11 +7,11 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from cablequad.instant import Motion, Shapes, motion_of, motion_shapes, split
 from cablequad.pilot import Memory, Sample
 from cablequad.state import Error, State
 from cablequad.trajectory import Reference
 from cablequad.types import Array
-from logs.encode import Motion
 from sitl.plant import Truth
 from sitl.settings import Event, Report
 
@@ -38,7 +37,6 @@ class Failure:
 Message = Truth | Event
 Status = Report | Ready | Failure
 _NUMBERS = struct.Struct("=4d")
-Shapes = tuple[tuple[int, ...], ...]
 
 
 class Told(NamedTuple):
@@ -54,7 +52,7 @@ def put(channel: Sender, messages: Sequence[Message]) -> None:
     parts: list[Event | tuple[int, bool, bytes]] = []
     for m in messages:
         if isinstance(m, Truth):
-            parts.append((m.boot_us, m.held, _joined((*m.state, m.x, m.v, m.tension, m.thrust))))
+            parts.append((m.boot_us, m.held, m.row.tobytes()))
         else:
             parts.append(m)
     channel.send_bytes(pickle.dumps(parts, 5))
@@ -67,9 +65,7 @@ def take(data: bytes) -> list[Told | Event]:
 
 def take_motions(told: Sequence[Told], n: int, L: int) -> Motion:
     """The motions of n vehicles and L links, with a row for each of `told`."""
-    shapes = ((3,), (3,), (3, 3), (3,), (n, L, 3), (n, L, 3), (n, 3, 3), (n, 3), (n, 3), (n, 3), (n, L), (n,))
-    fields = _split([t.values for t in told], shapes)
-    return Motion(State(*fields[:8]), *fields[8:])
+    return motion_of(_table([t.values for t in told]), motion_shapes(n, L))
 
 
 def put_sample(sample: Sample) -> bytes:
@@ -84,7 +80,7 @@ def sample_shapes(sample: Sample) -> Shapes:
 
 def take_samples(rows: Sequence[bytes], shapes: Shapes) -> Sample:
     """The decisions in `rows`, with a row for each."""
-    numbers, *a = _split(rows, shapes)
+    numbers, *a = split(_table(rows), shapes)
     t, Psi_0, e_q, e_omega = numbers.T
     state, reference, memory, error = State(*a[:8]), Reference(*a[8:14]), Memory(*a[14:19]), Error(*a[19:21])
     A, R_c, f, Psi, R_0d, q_d = a[21:]
@@ -104,12 +100,6 @@ def _joined(arrays: Sequence[Array]) -> bytes:
         return b"".join([array.tobytes() for array in arrays])
 
 
-def _split(rows: Sequence[bytes], shapes: Sequence[tuple[int, ...]]) -> list[Array]:
-    """Views of consecutive pieces of every row, one of each shape."""
-    table = np.frombuffer(bytearray(b"").join(rows)).reshape(len(rows), -1)
-    parts, at = [], 0
-    for shape in shapes:
-        size = math.prod(shape)
-        parts.append(table[:, at : at + size].reshape(len(rows), *shape))
-        at += size
-    return parts
+def _table(rows: Sequence[bytes]) -> Array:
+    """(k, numbers in a row)."""
+    return np.frombuffer(bytearray(b"").join(rows)).reshape(len(rows), -1)

@@ -13,10 +13,11 @@ from typing import NamedTuple
 import numpy as np
 
 from bridge.phases import CARRIED
+from cablequad.instant import Shapes
 from cablequad.state import Difference, State, differences
 from logs.encode import Model
 from logs.recorder import Decisions, Message, Recorder
-from missions.channel import Shapes, Told, take, take_motions, take_samples
+from missions.channel import Told, take, take_motions, take_samples
 from missions.tracking import Followed, Following, Grounded, OnGround, Standing
 from sitl.settings import Event
 

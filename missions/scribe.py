@@ -22,10 +22,11 @@ import numpy as np
 
 from bridge.link import Received, Sent
 from bridge.wire.dialect import mavlink
+from cablequad.instant import Motion
 from cablequad.pilot import Sample
 from cablequad.state import State, differences
 from logs import encode
-from logs.encode import Model, Motion
+from logs.encode import Model
 from logs.recorder import FLUSH_S, Attachment, Recorder, RecorderError
 from missions.channel import put_sample, sample_shapes
 from missions.children import begin

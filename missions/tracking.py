@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.encode import Motion
+from cablequad.instant import Motion
 
 SETTLED_M = 0.05
 LAST_S = 10.0  # of the mean

@@ -10,14 +10,15 @@ from cablequad.air import Air
 from cablequad.attitude import Airframe, Setpoint
 from cablequad.ground import Ground, ground, standing
 from cablequad.held import hold
-from cablequad.integrate import Command, Scratch, look, scratch
+from cablequad.instant import Motion, Shapes, felt, motion_of, motion_shapes, places, row
+from cablequad.integrate import Command, Scratch, scratch
 from cablequad.loose import fly_loose
 from cablequad.rotors import Rotors
 from cablequad.state import State, positions
 from cablequad.system import System, cut_off, without
 from cablequad.types import Array
-from cablequad.world import AIR, DRIVEN, GROUND, ROTORS, Seen, Whole, World, fly_alone, fly_in, turn_on_stands
-from sitl.firmware.autopilot import Actuation
+from cablequad.world import AIR, DRIVEN, GROUND, ROTORS, Whole, World, fly_alone, fly_in, seen, turn_on_stands
+from sitl.firmware.autopilot import NO_RATE, Actuation
 from sitl.wind import Wind
 
 LANDED_THRUST = 0.6  # of its weight: a vehicle that gives less, with its feet on the ground, is landing
@@ -47,11 +48,13 @@ class Truth(NamedTuple):
 
     boot_us: int
     held: bool
-    state: State
-    x: Array  # (n, 3) m, W: quadrotors
-    v: Array  # (n, 3) m/s, W
-    tension: Array  # (n, L) N
-    thrust: Array  # (n,) N
+    row: Array  # of `cablequad.instant`, its own
+    shapes: Shapes  # of what is in it
+
+    @property
+    def motion(self) -> Motion:
+        """Everything, as views of the row; tensions are those of this instant under what is commanded from it on."""
+        return motion_of(self.row, self.shapes)
 
 
 class PhysicsError(ArithmeticError):
@@ -60,12 +63,12 @@ class PhysicsError(ArithmeticError):
 
 def _commanded(actuation: Sequence[Actuation], max_thrust: Sequence[float], scale: Sequence[float]) -> Setpoint:
     """What flight controllers ask, as the attitude loops take it: rotors give max_thrust throttle^2, times `scale`."""
-    n = len(actuation)
-    R_c, Omega_c, rate_only = np.empty((n, 3, 3)), np.empty((n, 3)), np.zeros(n, dtype=np.bool_)
-    thrust = []
-    for i, a in enumerate(actuation):
-        R_c[i], Omega_c[i], rate_only[i] = a.R_c, a.Omega_c, a.rate_only
-        throttle, most = min(max(a.throttle, 0.0), 1.0), max_thrust[i]
+    R_c, thrust = np.array([a.R_c for a in actuation]), []
+    Omega_c, rate_only = np.zeros((len(actuation), 3)), np.zeros(len(actuation), dtype=np.bool_)
+    for i, (_, rates, throttle, only) in enumerate(actuation):
+        if only or rates is not NO_RATE:
+            Omega_c[i], rate_only[i] = rates, only
+        throttle, most = min(max(throttle, 0.0), 1.0), max_thrust[i]
         thrust.append(min(scale[i] * (most * (throttle * throttle)), most))
     return Setpoint(R_c, Omega_c, np.array(thrust), rate_only)
 
@@ -84,20 +87,22 @@ class _Part:
         self.work: Scratch = scratch(system, state)
         whole = Whole(system, self.airframe, state, world, self.rotor_thrust, self.command, self.work)
         self.held = hold(whole)
-        self.seen: Seen | None = None  # what there is to `look` at since the last move
+        self.shapes = motion_shapes(*system.length.shape)
+        self.seen: Array | None = None  # what there is to `look` at since the last move
 
-    def move(self, setpoint: Setpoint, h: float, steps: int, wind: Array | None) -> None:
-        """Go on under the members' part of `setpoint`."""
+    def move(self, setpoint: Setpoint, h: float, steps: int, wind: Array | None) -> Array:
+        """Go on under the members' part of `setpoint`; the instant that comes then, as `look` gives it."""
         own = setpoint if self.whole else setpoint.of(self.members)
         if wind is None:
             self.seen = fly_alone(self.held, own, h, steps)
         else:
             self.seen = fly_in(self.held, own, h, wind)
+        return self.seen
 
-    def look(self, thrust: Array) -> Seen:
-        """(members, 3) m and m/s of the vehicles and (members, L) N at this instant, with `thrust` (members,) N."""
+    def look(self, thrust: Array) -> Array:
+        """This instant as an `instant.row`, with `thrust` (members,) N."""
         if self.seen is None:
-            self.seen = look(self.system, self.state, thrust, self.work)
+            self.seen = seen(self.system, self.state, thrust, self.work)
         return self.seen
 
 
@@ -121,6 +126,7 @@ class Plant:
         self.h = h
         self.around = self._around = around or Surroundings()
         self.grounded = self.around.ground_z is not None
+        self._shapes, self._places = motion_shapes(*system.length.shape), places(*system.length.shape)
         self._max_thrust: list[float] = airframe.max_thrust.tolist()
         self._thrust_scale: list[float] = [1.0] * len(system.m) if thrust_scale is None else thrust_scale.tolist()
         self._given_scale = list(self._thrust_scale)
@@ -142,7 +148,7 @@ class Plant:
         still = None if self._plain else np.zeros((1, 3))
         self._parts[0].move(self._setpoint, self.h, 1, still)
         self.reset()
-        self.specific_force(self.truth(0, *self.kinematics()))
+        self.specific_force(self.truth(0))
 
     def reset(self) -> None:
         """Back to the initial state, held where there is no ground."""
@@ -225,15 +231,14 @@ class Plant:
                 self.thrust, whole.seen = whole.command.thrust.copy(), None
             return
         wind = self._air(steps)
-        thrust = self.thrust.copy()
         for part in self._parts:
-            part.move(self._setpoint, self.h, steps, wind)
-            thrust[part.members] = part.command.thrust
-            rates = part.state.omega.ravel()
-            if not math.isfinite(part.state.x0 @ part.state.x0 + rates @ rates):
+            seen = part.move(self._setpoint, self.h, steps, wind)
+            if not math.isfinite(seen @ seen):
                 raise PhysicsError("the motion is no longer finite; the vehicles and the load have flown apart")
         if not self._plain:
-            self.thrust = thrust
+            self.thrust = self.thrust.copy()
+            for part in self._parts:
+                self.thrust[part.members] = part.command.thrust
         if self.grounded:
             self._since_look += steps * self.h
             if self._since_look >= LOOK_S - 1e-9:
@@ -351,36 +356,31 @@ class Plant:
 
     def kinematics(self) -> tuple[Array, Array]:
         """(n, 3) m and (n, 3) m/s, W: where the quadrotors are and how they move."""
-        x, v, _ = self._look()
-        return x, v
+        row, n, x, v = self._look(), len(self.system.m), self._places.x, self._places.v
+        return row[x : x + 3 * n].reshape(n, 3), row[v : v + 3 * n].reshape(n, 3)
 
-    def truth(self, boot_us: int, x: Array, v: Array) -> Truth:
-        """Everything, in arrays of its own; tensions are those of this instant under what is commanded from it on."""
-        _, _, tension = self._look()
-        return Truth(boot_us, self.held, self.state.copy(), x, v, tension, self.thrust)
+    def truth(self, boot_us: int) -> Truth:
+        """Everything, at this instant."""
+        return Truth(boot_us, self.held, self._look(), self._shapes)
 
-    def _look(self) -> Seen:
-        if not self._apart:
+    def _look(self) -> Array:
+        if not self._apart and not self._shifted:
             return self._parts[0].look(self.thrust)
         n = len(self.system.m)
         x, v, tension = np.empty((n, 3)), np.empty((n, 3)), np.zeros(self.system.length.shape)
         for part in self._parts:
-            x[part.members], v[part.members], own = part.look(self.thrust[part.members])
-            tension[part.members, : own.shape[1]] = own
-        return x, v, tension
+            own = motion_of(part.look(self.thrust[part.members]), part.shapes)
+            x[part.members], v[part.members] = own.x, own.v
+            tension[part.members, : own.tension.shape[1]] = own.tension
+        return row(self.state, x, v, tension, self.thrust)
 
     def specific_force(self, truth: Truth) -> Array:
         """(n, 3) m/s^2, body frames: what each vehicle's accelerometer reads; the support carries it while held."""
-        s = truth.state
-        if truth.held:
-            support = np.array([0.0, 0.0, -self.system.g])
-            return np.einsum("iba,b->ia", s.R, support)
-        pull = truth.tension[:, 0, None] * s.q[:, 0]
-        pushed = np.empty((len(self.system.m), 3))
+        n, L = self.system.length.shape
+        pushed = np.empty((n, 3))
         for part in self._parts:
             pushed[part.members] = part.work.on_vehicles
-        world = (pull + pushed - truth.thrust[:, None] * s.R[:, :, 2]) / self.system.m[:, None]
-        return np.einsum("iba,ib->ia", s.R, world)
+        return felt(truth.row, L, self.system.m, self.system.g, pushed, truth.held)
 
 
 def _instant(airframe: Airframe) -> Rotors:

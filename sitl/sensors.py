@@ -4,6 +4,7 @@ import numpy as np
 
 from bridge.wire.telemetry import Snapshot
 from cablequad import lie
+from cablequad.instant import row
 from cablequad.noise import Noise
 from cablequad.state import State
 from cablequad.types import Array
@@ -47,16 +48,17 @@ class Sensors:
         """What the tracker says of the load and the cables."""
         if self._exact:
             return truth
-        n, s = self._noise, truth.state
+        n, m = self._noise, truth.motion
+        s = m.state
         q = self._off(s.q, n.link_direction)
         q /= np.linalg.norm(q, axis=-1, keepdims=True)
         omega = self._off(s.omega, n.link_rate)
         omega -= np.sum(omega * q, axis=-1, keepdims=True) * q
-        seen = State(
+        told = State(
             self._off(s.x0, n.position), self._off(s.v0, n.velocity), self._turned(s.R0), self._off(s.Omega0, n.rate),
             q, omega, s.R, s.Omega,
         )  # fmt: skip
-        return truth._replace(state=seen)
+        return truth._replace(row=row(told, m.x, m.v, m.tension, m.thrust))
 
     def _off(self, value: Array, deviation: float) -> Array:
         return value + deviation * self._rng.normal(size=value.shape)

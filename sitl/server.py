@@ -137,9 +137,7 @@ class Server:
         self.vehicles[0].navigator.force(own)
         self.vehicles[0].navigator.end()
         if isinstance(self.plant, Plant):
-            truth = self.plant.truth(0, *self.plant.kinematics())
-            self._tracker.high_rate(truth)
-            self._tracker.low_rate(truth)
+            self._tracker.warm_up(self.plant.truth(0))
 
     def _one_tick(self) -> None:
         """Speak, listen, move on. What is said at a tick was settled before it: what was commanded until then acted.
@@ -163,7 +161,7 @@ class Server:
         self.plant.command([vehicle.actuation(own) for vehicle, own in zip(self.vehicles, self._own, strict=True)])
         for part in range(1, s.tick_us // s.truth_us + 1):
             if part > 1 and isinstance(self.plant, Plant):
-                self._sink(self.plant.truth(now + (part - 1) * s.truth_us, *self.plant.kinematics()))
+                self._sink(self.plant.truth(now + (part - 1) * s.truth_us))
             self.plant.advance(s.truth_us // s.physics_us)
         self._compose(now + s.tick_us)
 
@@ -171,7 +169,7 @@ class Server:
         """Put together what is said at `now`: sensors tell what acted until then."""
         x, v = self.plant.kinematics()
         R, Omega = self.plant.attitudes
-        self._truth = self.plant.truth(now, x, v) if isinstance(self.plant, Plant) else None
+        self._truth = self.plant.truth(now) if isinstance(self.plant, Plant) else None
         felt = any(vehicle.will_tell(HIGHRES_IMU, now) for vehicle in self.vehicles)
         force: Sequence[Array] = [NO_FORCE] * self.n
         if felt and isinstance(self.plant, LoosePlant):

@@ -21,12 +21,13 @@ from bridge.wire.messages import encode
 from bridge.wire.values import AttitudeTarget
 from cablequad.attitude import Airframe
 from cablequad.design import Weights, sampled_law
+from cablequad.instant import Motion
 from cablequad.pilot import Measurement, Sample, first_memory, tick
 from cablequad.state import Difference, State, difference, differences, positions
 from cablequad.system import System
 from cablequad.trajectory import Reference
 from logs import recorder as recorders
-from logs.encode import Model, Motion, single
+from logs.encode import Model, single
 from logs.messages import Messages
 from logs.motion import motion_of
 from logs.reader import LogError, read

@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 
 from bridge.link import Endpoint, Link, LinkError
 from bridge.wire import generate
-from bridge.wire.cables import Cables
 from bridge.wire.dialect import CABLE_STATE, mavlink
 from bridge.wire.earth import Home
 from bridge.wire.frames import Packed, Signer, Verdict, fields, frame, packed
-from bridge.wire.messages import WireError, attitude_target, encode, param_bits, param_int, reread
+from bridge.wire.load import LoadReport
+from bridge.wire.messages import WireError, attitude_target, decode, encode, param_bits, param_int, reread
 from bridge.wire.telemetry import BUILD, Snapshot
 from bridge.wire.values import (
     AttitudeTarget,
@@ -42,6 +42,8 @@ from bridge.wire.values import (
     VehiclePosition,
 )
 from cablequad import lie
+from cablequad.instant import row
+from cablequad.state import State
 
 
 def over_the_wire(value: object) -> object:
@@ -107,18 +109,23 @@ def test_cables_of_any_length_arrive_whole(n_links: list[int]) -> None:
     rng = np.random.default_rng(n_links)
     n, L = len(n_links), max(n_links)
     q, omega, tension = rng.normal(size=(n, L, 3)), rng.normal(size=(n, L, 3)), rng.normal(size=(n, L))
-    cables = Cables(np.array(n_links))
+    report = LoadReport(np.array(n_links))
+    still, m = np.zeros((n, 3)), rng.normal(size=(6, 3))
     for _ in range(2):  # nothing of the tick before is left
         q, omega = -q, omega + 1.0
-        told = cables.packed(8000, tension, q, omega)
-    parts = [reread(message) for message in told]
+        s = State(m[0], m[1], lie.exp(m[2]), m[3], q, omega, np.zeros((n, 3, 3)), still)
+        report.tell(8000, row(s, still, still, tension, np.zeros(n)))
+        frames = report.framed(bytes(range(len(report))), b"\x07" * len(report), 191, 0)
+    *parts, load = [decode(msgid, whole) for msgid, whole in zip(report.msgids, frames, strict=True)]
     for i, k in enumerate(n_links):
         own = [p for p in parts if p.cable == i + 1]
         assert [p.first_link for p in own] == list(range(0, k, 10))
         assert {(p.boot_us, p.n_links, p.tension_N) for p in own} == {(8000, k, np.float32(tension[i, k - 1]))}
         np.testing.assert_allclose(np.concatenate([p.q for p in own]), q[i, :k], rtol=0, atol=1e-6)
         np.testing.assert_allclose(np.concatenate([p.omega for p in own]), omega[i, :k], rtol=0, atol=1e-6)
-    assert told == [encode(part) for part in parts]
+    np.testing.assert_allclose(load.x0, s.x0, atol=1e-6)
+    whole = [*parts, PayloadState(8000, s.x0, s.v0, s.R0, s.Omega0)]
+    assert frames == [frame(encode(value), k, 7, 191) for k, value in enumerate(whole)]
 
 
 @pytest.mark.parametrize("thrust", [math.nan, math.inf, -math.inf])

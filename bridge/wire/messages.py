@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bridge.wire.cables import LINKS_PER_FRAME, ROW, packed_rows
 from bridge.wire.dialect import CABLE_STATE, Kind, mavlink
 from bridge.wire.frames import Packed, fields, frame, pack, packed, payload_of
 from bridge.wire.values import (
@@ -45,6 +44,7 @@ from cablequad import lie
 from cablequad.types import Array
 
 TEXT_BYTES = 50
+LINKS_PER_FRAME = 10  # of CABLE_STATE
 ATTITUDE_AND_THRUST = 7  # type mask: body rates ignored
 
 _NO_COVARIANCES = 2 * struct.pack("<21f", math.nan, *[0.0] * 20)
@@ -141,11 +141,9 @@ def _read_payload(p: bytes) -> PayloadState | None:
 
 
 def _cable(v: CableShape) -> Packed:
-    row, k = np.zeros(1, ROW), len(v.q)
-    row["boot_us"], row["tension_N"] = v.boot_us, v.tension_N
-    row["cable"], row["n_links"], row["first_link"] = v.cable, v.n_links, v.first_link
-    row["links"][0, :k, :3], row["links"][0, :k, 3:] = v.q, v.omega
-    return packed_rows(row)[0]
+    head = _CABLE_HEAD.pack(v.boot_us, v.tension_N, v.cable, v.n_links, v.first_link)
+    links = np.concatenate([v.q, v.omega], axis=1).astype(_FLOAT).tobytes()
+    return Packed(CABLE_STATE.id, CABLE_STATE.msgname, CABLE_STATE.crc_extra, (head + links).rstrip(b"\0"))
 
 
 def _read_cable(p: bytes) -> CableShape:

@@ -255,7 +255,7 @@ class JointServer:
                 self._lose(seat, str(error))
         told = now % s.truth_us == 0
         if told:
-            truth = self.plant.truth(now, x, v)
+            truth = self.plant.truth(now)
             self._sink(truth)
             if now % s.tick_us == 0:
                 self._track(truth)

@@ -297,9 +297,10 @@ class Autopilot(ABC):
 
     def will_tell(self, msgid: int, now_us: int) -> bool:
         """Whether a message of this kind goes out at this tick, as things stand."""
-        return any(streams.is_due(msgid, now_us) for streams in self.streams) or any(
-            asked == msgid for _, asked in self._asked_for
-        )
+        for streams in self.streams:
+            if streams.is_due(msgid, now_us):
+                return True
+        return bool(self._asked_for) and any(asked == msgid for _, asked in self._asked_for)
 
     def outgoing(self, s: Snapshot, audible: tuple[bool, ...]) -> list[Outgoing]:
         """Everything to send at this tick; the attitude quaternion comes last, so that it closes the tick.

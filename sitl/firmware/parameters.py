@@ -25,10 +25,11 @@ class Parameters:
     def __init__(self, table: dict[str, Parameter], bytewise: bool) -> None:
         self._table = dict(sorted(table.items()))
         self._names = list(self._table)
+        self._values = {name: p.value for name, p in self._table.items()}  # as they are asked for at every tick
         self._bytewise = bytewise
 
     def __getitem__(self, name: str) -> float:
-        return self._table[name].value
+        return self._values[name]
 
     def __contains__(self, name: str) -> bool:
         return name in self._table
@@ -44,7 +45,10 @@ class Parameters:
         if not p.low <= value <= p.high or (p.type == INT32 and value != int(value)):
             whole = "a whole number " if p.type == INT32 else ""
             raise ValueError(f"parameter {name}: {value:g} given; {whole}from {p.low:g} to {p.high:g} is allowed")
-        self._table[name] = p._replace(value=value)
+        self._set(name, value)
+
+    def _set(self, name: str, value: float) -> None:
+        self._table[name], self._values[name] = self._table[name]._replace(value=value), value
 
     def report(self, index: int) -> ParamValue:
         """PARAM_VALUE of the parameter at `index` of the sorted table."""
@@ -69,7 +73,7 @@ class Parameters:
         value = float(param_int(request.value)) if whole and self._bytewise else request.value
         fits = p.low <= value <= p.high and (not whole or value == int(value))
         if fits and (request.type == p.type or not self._bytewise):  # ArduPilot takes any type for a number
-            self._table[request.name] = p._replace(value=value)
+            self._set(request.name, value)
         return self.report(self._names.index(request.name))
 
 
