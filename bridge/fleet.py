@@ -11,7 +11,8 @@ from bridge.profiles import NEEDED_STREAMS, PROFILES, STREAMS_US
 from bridge.thrust import MotorCommand, ThrustLaw
 from bridge.vehicle import ASK, RETRIES_S, TOGETHER, Request, Stage, Vehicle, because, command
 from bridge.wire.dialect import mavlink
-from bridge.wire.messages import TEXT_BYTES, attitude_target
+from bridge.wire.messages import TEXT_BYTES
+from bridge.wire.setpoints import Setpoints
 from bridge.wire.values import (
     IN_AIR,
     Battery,
@@ -26,7 +27,6 @@ from bridge.wire.values import (
     VehicleAttitude,
     VehiclePosition,
 )
-from cablequad import lie
 from cablequad.estimate import Sensing
 from cablequad.pilot import Sample
 from cablequad.types import Array
@@ -77,6 +77,7 @@ class Fleet:
         self._vehicles = [Vehicle(i + 1) for i in range(self.n)]
         self._max_thrust_N = max_thrust_N
         self._laws: list[ThrustLaw] = [MotorCommand(limit) for limit in max_thrust_N]
+        self._setpoints = Setpoints(self.n)
         self._configure = configure
         self._answers: list[Request] = []
         period_us = round(period_s * 1e6)
@@ -240,14 +241,11 @@ class Fleet:
             self._watch(v, now)
         return out
 
-    def setpoints(self, sample: Sample, boot_ms: int) -> list[Request]:
-        """The attitude-and-thrust setpoints of a decision, one a vehicle. Raises WireError where one is not finite."""
-        quats = lie.quats_from_rotations(sample.R_c).tolist()
-        thrusts, upright = sample.f.tolist(), sample.R_c[:, 2, 2].tolist()
-        return [
-            Request(i + 1, attitude_target(boot_ms, i + 1, quats[i], law.field(thrusts[i], upright[i])))
-            for i, law in enumerate(self._laws)
-        ]
+    def setpoints(self, sample: Sample, boot_ms: int) -> Setpoints:
+        """The attitude-and-thrust setpoints of a decision. Raises WireError where one is not finite."""
+        asked = zip(self._laws, sample.f.tolist(), sample.R_c[:, 2, 2].tolist(), strict=True)
+        self._setpoints.tell(boot_ms, sample.R_c, [law.field(thrust, upright) for law, thrust, upright in asked])
+        return self._setpoints
 
     def hold(self, now: float) -> None:
         """Ask every vehicle in command to take over by itself."""

@@ -8,13 +8,14 @@ from bridge.decide import Decider
 from bridge.faults import Channel
 from bridge.fleet import COMPONENT, SYSTEM, TRACKER, Fleet
 from bridge.gate import CLOSING, Gate
-from bridge.link import Address, Link, Received, Sent
+from bridge.link import Address, Link, Received
 from bridge.observe import Instant, Loop
 from bridge.relate import Related, Relation
 from bridge.thrust import ThrustScale, made_thrust_N
 from bridge.vehicle import Request
-from bridge.wire.messages import WireError, encode
-from bridge.wire.values import AttitudeTarget, Command, CommandAck, Imu, Origin, PayloadState, Timesync
+from bridge.wire.messages import encode
+from bridge.wire.setpoints import Setpoints, WireError
+from bridge.wire.values import Command, CommandAck, Imu, Origin, PayloadState, Timesync
 from cablequad.pilot import Sample
 
 PROCESS_ANYWAY_S = 0.5  # wall clock: frames that complete no state are acted on after this long all the same
@@ -51,7 +52,7 @@ class Record(Protocol):
     def received(self, boot_us: int, frames: list[Received]) -> None:
         """Frames that came in."""
 
-    def sent(self, boot_us: int, frames: list[tuple[int, Sent]]) -> None:
+    def sent(self, boot_us: int, to: Sequence[int], frames: list[bytes]) -> None:
         """Frames that went out, each with the system it went to."""
 
     def decided(self, boot_us: int, sample: Sample, tension: list[float], phase: str, age_s: float) -> None:
@@ -76,6 +77,7 @@ class _Flight:
         self.gate = Gate(fleet.n, TRACKER, loop.period_ms, loop.sensing)
         self.channels = channels
         self.routes: dict[int, tuple[int, Address]] = {}
+        self.everyone = range(1, fleet.n + 1)
         self.pending: list[Received] = []
         self.now_us = 0
         self.quiet_s = 0.0  # listened for in vain since a frame came; what we do ourselves is nobody's silence
@@ -226,13 +228,13 @@ class _Flight:
         sample = decided.sample
         for event in decided.events:
             self.record.event(self.now_us, *event)
+        setpoints: Setpoints | None = None
         try:
             setpoints = self.fleet.setpoints(sample, instant.boot_ms)
         except WireError as error:  # nothing that is not finite goes out; the vehicles' own failsafes take over
-            setpoints = []
             self.fleet.failure = self.fleet.failure or str(error)
         self.fleet.observed(now, decided.gaps_m)
-        self._send(self.fleet.due(now) + setpoints)
+        self._send(self.fleet.due(now), setpoints)
         done = self.link.now()
         for i, imu in self.felt:  # nobody waits for this
             self._compare_thrust(i, imu)
@@ -242,19 +244,23 @@ class _Flight:
         self._time(instant.boot_ms, arrived, done)
         return sample
 
-    def _send(self, requests: list[Request]) -> None:
-        sent: list[tuple[int, Sent]] = []
+    def _send(self, requests: list[Request], setpoints: Setpoints | None = None) -> None:
+        to: list[int] = []
+        frames: list[bytes] = []
         for system, value in requests:
             message = encode(value)
-            for target in (system,) if system is not None else range(1, self.fleet.n + 1):
+            for target in (system,) if system is not None else self.everyone:
                 route = self.routes.get(target)
                 if route is not None:
-                    sent.append((target, self.link.send(route[0], SYSTEM, COMPONENT, message, route[1])))
-            if type(value) is AttitudeTarget:  # on its way while the next is made
-                self.link.flush()
+                    to.append(target)
+                    frames.append(self.link.put(route[0], SYSTEM, COMPONENT, message, route[1])[1])
+        if setpoints is not None and all(target in self.routes for target in self.everyone):
+            routes = [self.routes[target] for target in self.everyone]
+            to += self.everyone
+            frames += self.link.put_all(routes, bytes([SYSTEM]) * len(routes), COMPONENT, setpoints)
         self.link.flush()
-        if sent:
-            self.record.sent(self.now_us, sent)
+        if frames:
+            self.record.sent(self.now_us, to, frames)
 
     def _time(self, boot_ms: int, arrived: float, done: float) -> None:
         self.ticks += 1

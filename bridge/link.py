@@ -147,16 +147,16 @@ class Link:
         return seq, whole
 
     def put_all(
-        self, ports: Sequence[int], systems: bytes, component: int, sheet: Sheet,
-        to: Sequence[Address | None] | None = None,
-    ) -> list[bytes]:  # fmt: skip
-        """`put` of every message of a sheet, each on its port, as its system, for its address; their frames."""
-        seqs = bytes([self._numbered(port, system, component) for port, system in zip(ports, systems, strict=True)])
+        self, routes: Sequence[tuple[int, Address | None]], systems: bytes, component: int, sheet: Sheet
+    ) -> list[bytes]:
+        """`put` of every message of a sheet, each on its port as its system, for its address; their frames."""
+        seqs = bytes([self._numbered(port, who, component) for (port, _), who in zip(routes, systems, strict=True)])
         frames = sheet.framed(seqs, systems, component, 0 if self.signer is None else SIGNED)
         if self.signer is not None:
-            frames = [whole + self.signer.signature(whole, p & 255) for p, whole in zip(ports, frames, strict=True)]
-        for k, whole in enumerate(frames):
-            self._enqueue(ports[k], whole, None if to is None else to[k])
+            sign = self.signer.signature
+            frames = [whole + sign(whole, port & 255) for (port, _), whole in zip(routes, frames, strict=True)]
+        for (port, to), whole in zip(routes, frames, strict=True):
+            self._enqueue(port, whole, to)
         return frames
 
     def flush(self) -> None:

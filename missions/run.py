@@ -23,8 +23,9 @@ from bridge.phases import CARRIED, FLY
 from bridge.ports import TRACKER_PORTS, vehicle_ports
 from bridge.relate import Relation
 from bridge.wire.frames import Signer
-from bridge.wire.messages import attitude_target, reread
 from bridge.wire.messages import encode as encode_message
+from bridge.wire.messages import reread
+from bridge.wire.setpoints import Setpoints
 from bridge.wire.values import PayloadState, VehicleAttitude
 from cablequad import lie
 from cablequad.attitude import Setpoint, flown
@@ -323,7 +324,6 @@ def _warm_up(design: Design, flight: Flight) -> None:
     for value in (
         VehicleAttitude(0, sample.state.R[0], sample.state.Omega[0]),
         PayloadState(0, sample.state.x0, sample.state.v0, sample.state.R0, sample.state.Omega0),
-        attitude_target(0, 1, (1.0, 0.0, 0.0, 0.0), 0.5),
     ):
         reread(encode_message(value))
     if flight.scenario.mission is not None:
@@ -332,7 +332,9 @@ def _warm_up(design: Design, flight: Flight) -> None:
         integrated(np.zeros((n, 3)), goals.x, goals, 1.0)
         fly_each(design, goals.x, goals.v, flight.initial.R, goals.a, goals, flight.initial.R)
     lie.normalize(flight.initial.q.copy())
-    lie.quats_from_rotations(sample.R_c)
+    setpoints = Setpoints(len(sample.f))
+    setpoints.tell(0, sample.R_c, [0.5] * len(setpoints))
+    setpoints.framed(bytes(len(setpoints)), bytes(len(setpoints)), 1, 0)
     positions(flight.system, flight.initial)
     filter = scenarios.filter(flight)
     if filter is not None:

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bridge.link import Received, Sent
+from bridge.link import Received
 from bridge.wire.dialect import mavlink
 from cablequad.instant import Motion
 from cablequad.pilot import Sample
@@ -103,9 +103,9 @@ class Scribe:
         """Frames that came in."""
         self._put("rx", boot_us, bytes([f.system for f in frames]), [f.frame for f in frames])
 
-    def sent(self, boot_us: int, frames: Sequence[tuple[int, Sent]]) -> None:
+    def sent(self, boot_us: int, to: Sequence[int], frames: list[bytes]) -> None:
         """Frames that went out, each with the system it went to."""
-        self._put("tx", boot_us, bytes([to for to, _ in frames]), [frame.frame for _, frame in frames])
+        self._put("tx", boot_us, bytes(to), frames)
 
     def decided(self, boot_us: int, sample: Sample, tension: list[float], phase: str, age_s: float) -> None:
         """A control decision, which ends a tick."""

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from bridge.link import Link
+from bridge.link import Address, Link
 from bridge.wire.dialect import mavlink
 from bridge.wire.frames import Packed, pack
 from bridge.wire.load import LoadReport
@@ -24,7 +24,8 @@ class Tracker:
     def __init__(self, link: Link, ports: tuple[int, int], n_links: Counts, control_us: int) -> None:
         self._link, self._ports, self._n_links, self._control_us = link, ports, n_links, control_us
         self._report = LoadReport(n_links)
-        self._to, self._from = [ports[0]] * len(self._report), bytes([SYSTEM]) * len(self._report)
+        self._to: list[tuple[int, Address | None]] = [(ports[0], None)] * len(self._report)
+        self._from = bytes([SYSTEM]) * len(self._report)
 
     def tell(self, truth: Truth) -> None:
         """Say what is due: to the controller CABLE_STATE of every cable, then ODOMETRY, which closes the tick."""

@@ -17,7 +17,8 @@ from bridge.wire.dialect import CABLE_STATE, mavlink
 from bridge.wire.earth import Home
 from bridge.wire.frames import Packed, Signer, Verdict, fields, frame, packed
 from bridge.wire.load import LoadReport
-from bridge.wire.messages import WireError, attitude_target, decode, encode, param_bits, param_int, reread
+from bridge.wire.messages import decode, encode, param_bits, param_int, reread
+from bridge.wire.setpoints import Setpoints, WireError
 from bridge.wire.telemetry import BUILD, Snapshot
 from bridge.wire.values import (
     AttitudeTarget,
@@ -128,12 +129,26 @@ def test_cables_of_any_length_arrive_whole(n_links: list[int]) -> None:
     assert frames == [frame(encode(value), k, 7, 191) for k, value in enumerate(whole)]
 
 
-@pytest.mark.parametrize("thrust", [math.nan, math.inf, -math.inf])
-def test_a_setpoint_that_is_not_finite_never_becomes_a_message(thrust: float) -> None:
+@given(st.lists(st.lists(st.floats(-3.0, 3.0), min_size=4, max_size=4), min_size=1, max_size=12), st.integers(0, 2**31))
+def test_setpoints_of_a_fleet_are_those_of_its_vehicles_one_by_one(asked: list[list[float]], boot_ms: int) -> None:
+    R_c = np.array([lie.exp(np.array(turn)) for *turn, _ in asked])
+    thrust, sheet = [abs(t) / 3.0 for *_, t in asked], Setpoints(len(asked))
+    sheet.tell(boot_ms, R_c, thrust)
+    n = len(sheet)
+    for k, whole in enumerate(sheet.framed(bytes(range(n)), bytes([250]) * n, 191, 0)):
+        quat = lie.wxyz_from_rotation(R_c[k])
+        one = AttitudeTarget(boot_ms, k + 1, 1, 7, quat, (0.0, 0.0, 0.0), thrust[k])
+        assert whole == frame(encode(one), k, 250, 191)
+
+
+@pytest.mark.parametrize("wrong", [math.nan, math.inf, -math.inf])
+def test_a_setpoint_that_is_not_finite_never_becomes_a_message(wrong: float) -> None:
+    level, sheet = np.tile(np.eye(3), (3, 1, 1)), Setpoints(3)
     with pytest.raises(WireError, match="vehicle 2: non-finite setpoint"):
-        attitude_target(4, 2, (1.0, 0.0, 0.0, 0.0), thrust)
-    with pytest.raises(WireError, match="vehicle 2"):
-        attitude_target(4, 2, (1.0, 0.0, math.nan, 0.0), 0.5)
+        sheet.tell(4, level, [0.5, wrong, 0.5])
+    level[2, 0, 1] = wrong
+    with pytest.raises(WireError, match="vehicle 3"):
+        sheet.tell(4, level, [0.5, 0.5, 0.5])
 
 
 @given(st.integers(-(2**31), 2**31 - 1))

@@ -2,7 +2,7 @@
 
 import math
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -45,7 +45,6 @@ from cablequad.types import Array
 
 TEXT_BYTES = 50
 LINKS_PER_FRAME = 10  # of CABLE_STATE
-ATTITUDE_AND_THRUST = 7  # type mask: body rates ignored
 
 _NO_COVARIANCES = 2 * struct.pack("<21f", math.nan, *[0.0] * 20)
 _ODOMETRY_POSE = struct.Struct("<Q13f")  # before them
@@ -58,18 +57,6 @@ _ATTITUDE_HEAD = struct.Struct("<I7f")  # as far as it is used
 _FLOAT: Any = np.dtype("<f4")
 _CABLE_HEAD = struct.Struct("<QfBBB")  # before the links
 _ODOMETRY_FRAME = struct.calcsize("<Q55f")  # where its frame_id stands, behind the numbers
-
-
-class WireError(ValueError):
-    """A value that may not go on the wire."""
-
-
-def attitude_target(boot_ms: int, system: int, quat_wxyz: Sequence[float], thrust: float) -> AttitudeTarget:
-    """The one setpoint our bridge sends: type mask 7, unit quaternion, component 1. Raises WireError if not finite."""
-    w, x, y, z = quat_wxyz
-    if not math.isfinite(w + x + y + z + thrust):
-        raise WireError(f"vehicle {system}: non-finite setpoint (thrust {thrust}, quaternion {[w, x, y, z]})")
-    return AttitudeTarget(boot_ms, system, 1, ATTITUDE_AND_THRUST, (w, x, y, z), (0.0, 0.0, 0.0), thrust)
 
 
 def text_frames(said: StatusText, id: int) -> list[StatusText]:

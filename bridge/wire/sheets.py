@@ -4,6 +4,7 @@ A sheet is laid out once, a row for each message, and filled in tick after tick.
 `frames.frame`.
 """
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -105,7 +106,7 @@ def put_load(
             at = 3 * (cable * L + first + j)
             for a in range(3):
                 floats[1 + 6 * j + a], floats[4 + 6 * j + a] = row[start.q + at + a], row[start.omega + at + a]
-        _put_whole(payload, k, boot_us)
+        _put_whole(payload, k, boot_us, 8)
         _put_floats(payload, k, 8, as_bytes, 0, 1)
         _put_floats(payload, k, CABLE_LINKS, as_bytes, 1, 6 * count)
     R = row[6:15].reshape(3, 3)
@@ -115,8 +116,24 @@ def put_load(
         floats[7 + a] = row[3] * R[0, a] + row[4] * R[1, a] + row[5] * R[2, a]
         floats[10 + a] = row[15 + a]
     floats[3], floats[4], floats[5], floats[6] = quat
-    _put_whole(payload, len(parts), boot_us)
+    _put_whole(payload, len(parts), boot_us, 8)
     _put_floats(payload, len(parts), ODOMETRY_POSE, as_bytes, 0, 13)
+
+
+@jit
+def put_targets(R_c: Array, thrust: Array, boot_ms: int, payload: Bytes, floats: Floats, as_bytes: Bytes) -> int:
+    """Fill in time, quaternion and thrust of SET_ATTITUDE_TARGET, for attitudes (n, 3, 3) and thrust fields (n,).
+
+    The first row, from 0, that would not be finite; -1 where all are. `floats` and `as_bytes` are one memory.
+    """
+    for k in range(len(thrust)):
+        w, x, y, z = lie.wxyz_from_rotation(R_c[k])
+        if not math.isfinite(w + x + y + z + thrust[k]):
+            return k
+        floats[0], floats[1], floats[2], floats[3], floats[7] = w, x, y, z, thrust[k]
+        _put_whole(payload, k, boot_ms, 4)
+        _put_floats(payload, k, 4, as_bytes, 0, 8)
+    return -1
 
 
 @inlined
@@ -135,7 +152,7 @@ def _put_floats(out: Bytes, row: int, at: int, values: Bytes, first: int, count:
 
 
 @inlined
-def _put_whole(out: Bytes, row: int, value: int) -> None:
-    """A time in eight bytes, the lowest first, at the beginning of a payload."""
-    for b in range(8):
+def _put_whole(out: Bytes, row: int, value: int, size: int) -> None:
+    """A time in `size` bytes, the lowest first, at the beginning of a payload."""
+    for b in range(size):
         out[row, b] = value >> 8 * b & 255
