@@ -44,11 +44,11 @@ from sitl.tracker import Tracker
 R = lie.exp(np.array([0.1, -0.2, 0.3]))
 V = np.array([0.3, -0.1, 0.2])
 HOT: list[Any] = [
-    VehicleAttitude(1000, R, V),
+    VehicleAttitude.of(1000, R, V),
     VehiclePosition(1000, V, V),
     AttitudeTarget(1000, 1, 1, 7, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.6),
     PayloadState(1_000_000, V, V, R, V),
-    CableShape(1_000_000, 1, 5, 0, 1.2, np.tile(V, (5, 1)), np.tile(V, (5, 1))),
+    CableShape(1_000_000, 1, 5, 0, 1.2, np.tile(V, (5, 2))),
 ]
 
 

@@ -174,14 +174,14 @@ class Fleet:
         v = self._vehicles[source - 1]
         v.heard_at = now
         match value:
+            case VehicleAttitude():
+                self._clock(v, value.boot_ms)
             case Heartbeat():
                 self._heartbeat(v, value, now)
             case CommandAck():
                 self._ack(v, value)
             case ParamValue() if v.profile is not None and value.name in v.profile.parameters:
                 self._parameter(v, value)
-            case VehicleAttitude():
-                self._clock(v, value.boot_ms)
             case Timesync() if value.tc1 == 0:
                 self._answers.append(Request(source, Timesync(round(now * 1e9), value.ts1)))
             case LandedState():

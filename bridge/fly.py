@@ -173,19 +173,20 @@ class _Flight:
             frames = kept + [f for _, channel in sorted(self.channels.items()) for f in channel.take(self.now_us)]
         now = self.now_us * 1e-6
         for frame in frames:
-            if frame.value is None:
+            system, value = frame.system, frame.value
+            if value is None:
                 continue
-            self.fleet.feed(frame.system, frame.component, frame.value, now)
-            kind = type(frame.value)
-            if kind is Command and (frame.value.system, frame.value.component) == (SYSTEM, COMPONENT):
-                self._told(frame, frame.value)
-            if frame.component == (1 if frame.system != TRACKER else COMPONENT):
+            kind = type(value)
+            self.fleet.feed(system, frame.component, value, now)
+            if kind is Command and (value.system, value.component) == (SYSTEM, COMPONENT):
+                self._told(frame, value)
+            if frame.component == (1 if system != TRACKER else COMPONENT):
                 if kind is Origin:
-                    self.relation.learn(frame.system, frame.value)
-                value = self.relation.mapped(frame.system, frame.value)
-                self.decider.feed(frame.system, value)
-                if kind is Imu and value is not None and self.fleet.flying and frame.system <= self.fleet.n:
-                    self.felt.append((frame.system - 1, value))
+                    self.relation.learn(system, value)
+                value = self.relation.mapped(system, value)
+                self.decider.feed(system, value)
+                if kind is Imu and value is not None and self.fleet.flying and system <= self.fleet.n:
+                    self.felt.append((system - 1, value))
         if frames:
             self.record.received(self.now_us, frames)
         if self.fleet.released_at is not None and not self.released:

@@ -31,7 +31,7 @@ from cablequad.estimate import (
     nothing_seen,
     predicted,
 )
-from cablequad.state import State, positions
+from cablequad.state import State, measured, positions
 from cablequad.system import System
 from cablequad.types import Array
 
@@ -63,16 +63,16 @@ class Instant(NamedTuple):
 class _Parts:
     """What has come in of one time stamp."""
 
-    def __init__(self, hanging: Array, links: int) -> None:
-        """`hanging` (n, L, 3): what stands where there is no link, or none was told."""
+    def __init__(self, hanging: Array, many: int) -> None:
+        """`hanging` (n, L, 6): what stands where there is no link, or none was told."""
         self.attitudes: dict[int, VehicleAttitude] = {}
         self.positions: dict[int, VehiclePosition] = {}
         self.payload: PayloadState | None = None
-        self.q = hanging.copy()
-        self.omega = np.zeros(hanging.shape)
+        self.links = hanging.copy()
+        self.frames = np.empty((len(hanging), 7))
         self.tension = np.zeros(len(hanging))
         self.cable_links = [0] * len(hanging)
-        self.links_missing = links
+        self.links_missing = many
 
 
 class Observer:
@@ -83,11 +83,12 @@ class Observer:
         self._n, self._L = loop.system.length.shape
         self._links_of = loop.system.n_links.tolist()
         self._links = sum(self._links_of)
-        self._hanging = np.tile((0.0, 0.0, 1.0), (self._n, self._L, 1))
+        self._hanging = np.tile((0.0, 0.0, 1.0, 0.0, 0.0, 0.0), (self._n, self._L, 1))
         self._parts: dict[int, _Parts] = {}
         self._known: dict[int, tuple[Belief, int]] = {}  # estimates and the stamp that their oldest part rests on
         self._no_force = np.zeros((self._n, 3))
         self._commands: dict[int, tuple[Array, Array]] = {}  # R_c and f by the state they answered
+        self._newest_ms = -1
         self._oldest_new = -1  # the earliest stamp of which something new is known; -1: none
         self._tension = np.zeros(self._n)
         self._untold = np.full(self._n, np.nan)
@@ -113,7 +114,9 @@ class Observer:
         """Take one value from the vehicle with system id `source`, or from the tracker."""
         match value:
             case VehicleAttitude() if 1 <= source <= self._n:
-                self._of(value.boot_ms).attitudes[source - 1] = self._told_R[source - 1] = value
+                parts = self._of(value.boot_ms)
+                parts.attitudes[source - 1] = self._told_R[source - 1] = value
+                parts.frames[source - 1] = value.frame
             case VehiclePosition() if 1 <= source <= self._n:
                 self._of(value.boot_ms).positions[source - 1] = value
                 if value.boot_ms > self._told_ms[source - 1] or value.boot_ms < self._told_ms[source - 1] - REBOOT_MS:
@@ -192,12 +195,13 @@ class Observer:
     def _of(self, boot_ms: int) -> _Parts:
         parts = self._parts.get(boot_ms)
         if parts is None:
-            newest = max(self._parts, default=boot_ms)
-            if boot_ms < newest - REBOOT_MS:  # the clock went back: everything starts anew
+            if boot_ms < self._newest_ms - REBOOT_MS:  # the clock went back: everything starts anew
                 for store in (self._parts, self._known, self._commands):
                     store.clear()
                 self._begun = False
                 self._told_cable_ms = [-1] * self._n
+                self._newest_ms = boot_ms
+            self._newest_ms = max(self._newest_ms, boot_ms)
             parts = self._parts[boot_ms] = _Parts(self._hanging, self._links)
             self._forget(self._parts)
         if self._oldest_new < 0 or boot_ms < self._oldest_new:
@@ -206,17 +210,16 @@ class Observer:
 
     def _forget(self, store: dict) -> None:
         while len(store) > KEPT:
-            del store[min(store)]
+            del store[next(iter(store))]  # the first that came
 
     def _cable(self, c: CableShape) -> None:
-        i, k, first = c.cable - 1, len(c.q), c.first_link
+        i, k, first = c.cable - 1, len(c.links), c.first_link
         if not 0 <= i < self._n or c.n_links != self._links_of[i] or first + k > self._L:
             return
         parts = self._of(c.boot_us // 1000)
         if parts.cable_links[i] >= self._links_of[i]:
             return  # a copy
-        parts.q[i, first : first + k] = c.q
-        parts.omega[i, first : first + k] = c.omega
+        parts.links[i, first : first + k] = c.links
         parts.cable_links[i] += k
         parts.links_missing -= k
         parts.tension[i] = c.tension_N
@@ -296,18 +299,20 @@ class Observer:
         for i, vehicle in parts.attitudes.items():
             into.R[i], into.Omega[i] = vehicle.R, vehicle.Omega
         for i, links in enumerate(parts.cable_links):
-            if links == self._links_of[i] and lie.normalize(parts.q[i : i + 1]):
-                into.q[i], into.omega[i] = parts.q[i], parts.omega[i]
+            q = parts.links[i : i + 1, :, :3].copy()
+            if links == self._links_of[i] and lie.normalize(q):
+                into.q[i], into.omega[i] = q[0], parts.links[i, :, 3:]
 
     def _measured(self, parts: _Parts, attitudes: dict[int, VehicleAttitude] | None = None) -> State | None:
         """The state where everything was measured, or everything but `attitudes`."""
         load, attitudes = parts.payload, parts.attitudes if attitudes is None else attitudes
-        if load is None or len(attitudes) < self._n or parts.links_missing > 0 or not lie.normalize(parts.q):
+        if load is None or len(attitudes) < self._n or parts.links_missing > 0:
             return None
-        R, Omega = np.empty((self._n, 3, 3)), np.empty((self._n, 3))
-        for i, vehicle in attitudes.items():
-            R[i], Omega[i] = vehicle.R, vehicle.Omega
-        return State(load.x0, load.v0, load.R0, load.Omega0, parts.q, parts.omega, R, Omega)
+        frames = (
+            parts.frames if attitudes is parts.attitudes else np.array([attitudes[i].frame for i in range(self._n)])
+        )
+        whole, *held = measured(parts.links, frames)
+        return State(load.x0, load.v0, load.R0, load.Omega0, *held) if whole else None
 
     def _carried(self, boot_ms: int) -> tuple[Belief, int]:
         """From the last estimate that nothing new concerns, step by step to `boot_ms`."""

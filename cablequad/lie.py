@@ -234,22 +234,37 @@ def right_jacobian(xi: Array) -> Array:
 @jit
 def direction_to(q_from: Array, q_to: Array) -> Array:
     """The shortest rotation vector xi, normal to q_from, with exp(hat(xi)) q_from = q_to, (3,) rad."""
-    axis = cross(q_from, q_to)
-    sin = math.sqrt(axis[0] ** 2 + axis[1] ** 2 + axis[2] ** 2)
+    return np.array(direction_triple((q_from[0], q_from[1], q_from[2]), (q_to[0], q_to[1], q_to[2])))
+
+
+@inlined
+def direction_triple(q_from: Triple, q_to: Triple) -> Triple:
+    """`direction_to` of tuples."""
+    x, y, z = cross_triple(q_from, q_to)
+    sin = math.sqrt(x * x + y * y + z * z)
     cos = q_from[0] * q_to[0] + q_from[1] * q_to[1] + q_from[2] * q_to[2]
     if sin > 1e-12:
-        return (math.atan2(sin, cos) / sin) * axis
-    if cos > 0.0:
-        return axis
-    return math.pi * tangent_basis(q_from)[:, 0]  # opposite: any normal axis
+        scale = math.atan2(sin, cos) / sin
+    elif cos > 0.0:
+        scale = 1.0
+    else:  # opposite: any normal axis
+        (x, y, z), _ = tangent_pair(q_from)
+        scale = math.pi
+    return scale * x, scale * y, scale * z
 
 
 @jit
 def tangent_basis(q: Array) -> Array:
     """Two orthonormal columns normal to q, (3, 2): the paper's C = [e1 e2] carried from e3 to q by the shortest way."""
+    a, b = tangent_pair((q[0], q[1], q[2]))
+    return np.array([[a[0], b[0]], [a[1], b[1]], [a[2], b[2]]])
+
+
+@inlined
+def tangent_pair(q: Triple) -> tuple[Triple, Triple]:
+    """`tangent_basis` of a tuple, column by column."""
     if q[2] < -1.0 + 1e-12:
-        return np.array([[1.0, 0.0], [0.0, -1.0], [0.0, 0.0]])
+        return (1.0, 0.0, 0.0), (0.0, -1.0, 0.0)
     k = 1.0 / (1.0 + q[2])
-    return np.array(
-        [[1.0 - k * q[0] * q[0], -k * q[0] * q[1]], [-k * q[0] * q[1], 1.0 - k * q[1] * q[1]], [-q[0], -q[1]]]
-    )
+    aside = -k * q[0] * q[1]
+    return (1.0 - k * q[0] * q[0], aside, -q[0]), (aside, 1.0 - k * q[1] * q[1], -q[1])

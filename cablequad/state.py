@@ -42,6 +42,25 @@ class State(NamedTuple):
         return State(*(np.array(a, dtype=float, order="C") for a in self))
 
 
+@jit
+def measured(links: Array, frames: Array) -> tuple[bool, Array, Array, Array, Array]:
+    """Whether there is a state to what was measured, and its q, omega (n, L, 3), R (n, 3, 3) and Omega (n, 3).
+
+    `links` (n, L, 6) holds directions of any length and their rates, `frames` (n, 7) quaternions (w, x, y, z) of any
+    length and body rates. A direction that is none (shorter than 0.5) makes no state.
+    """
+    n, L = links.shape[0], links.shape[1]
+    q, omega, R, Omega = np.empty((n, L, 3)), np.empty((n, L, 3)), np.empty((n, 3, 3)), np.empty((n, 3))
+    for i in range(n):
+        R[i] = lie.rotation_from_wxyz(frames[i, 0], frames[i, 1], frames[i, 2], frames[i, 3])
+        for a in range(3):
+            Omega[i, a] = frames[i, 4 + a]
+        for j in range(L):
+            for a in range(3):
+                q[i, j, a], omega[i, j, a] = links[i, j, a], links[i, j, 3 + a]
+    return lie.normalize(q), q, omega, R, Omega
+
+
 class Error(NamedTuple):
     """A state's coordinates in the chart around a target, as the linear model orders them."""
 
@@ -65,12 +84,15 @@ def local(system: System, target: State, state: State) -> Error:
     k = 6
     for i in range(system.m.shape[0]):
         for j in range(system.n_links[i]):
-            C = lie.tangent_basis(target.q[i, j])
-            xi = lie.direction_to(target.q[i, j], state.q[i, j])
-            w = state.omega[i, j] - target.omega[i, j]
+            d, e = target.q[i, j], state.q[i, j]
+            q_d = (d[0], d[1], d[2])
+            xi = lie.direction_triple(q_d, (e[0], e[1], e[2]))
+            w, w_d = state.omega[i, j], target.omega[i, j]
+            along = lie.tangent_pair(q_d)
             for b in range(2):
-                x[k + b] = xi[0] * C[0, b] + xi[1] * C[1, b] + xi[2] * C[2, b]
-                x_dot[k + b] = w[0] * C[0, b] + w[1] * C[1, b] + w[2] * C[2, b]
+                c = along[b]
+                x[k + b] = xi[0] * c[0] + xi[1] * c[1] + xi[2] * c[2]
+                x_dot[k + b] = (w[0] - w_d[0]) * c[0] + (w[1] - w_d[1]) * c[1] + (w[2] - w_d[2]) * c[2]
             k += 2
     return Error(x, x_dot)
 

@@ -322,7 +322,7 @@ def _warm_up(design: Design, flight: Flight) -> None:
     here = at(flight.trajectory, 0.0)
     _, sample = tick(first_memory(design), Measurement(0.0, flight.initial), here, design)
     for value in (
-        VehicleAttitude(0, sample.state.R[0], sample.state.Omega[0]),
+        VehicleAttitude.of(0, sample.state.R[0], sample.state.Omega[0]),
         PayloadState(0, sample.state.x0, sample.state.v0, sample.state.R0, sample.state.Omega0),
     ):
         reread(encode_message(value))

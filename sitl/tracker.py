@@ -59,7 +59,7 @@ class Tracker:
             return out
         s = truth.motion.state
         out.append(encode(VehiclePosition(us // 1000, s.x0, s.v0)))
-        out.append(encode(VehicleAttitude(us // 1000, s.R0, s.Omega0)))
+        out.append(encode(VehicleAttitude.of(us // 1000, s.R0, s.Omega0)))
         if us % ARRAY_US == 0:
             for i, k in enumerate(self._n_links.tolist()):
                 links = np.concatenate([s.q[i, :k], s.omega[i, :k]], axis=1).ravel()[:ARRAY_FLOATS]

@@ -304,7 +304,7 @@ def test_arducopters_curve_makes_a_throttle_its_share_of_the_greatest_thrust() -
 
 def test_a_vehicles_clock_is_found_by_timesync_and_one_like_the_trackers_is_taken_for_it() -> None:
     relation = Relation(2, 200, asks=True)
-    attitude = VehicleAttitude(5000, np.eye(3), np.zeros(3))
+    attitude = VehicleAttitude.of(5000, np.eye(3), np.zeros(3))
     assert relation.mapped(1, attitude) is None  # nobody knows yet when that was
     rng, now = np.random.default_rng(0), 100.0
     for _ in range(8):

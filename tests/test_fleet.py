@@ -235,10 +235,10 @@ def test_a_vehicle_that_disarms_while_it_waits_for_the_others_is_armed_again() -
 def test_a_vehicle_that_reboots_is_named_with_both_times() -> None:
     p = Played()
     p.fly()
-    p.say(2, VehicleAttitude(54_000, np.eye(3), np.zeros(3)))
-    p.say(2, VehicleAttitude(54_004, np.eye(3), np.zeros(3)))
+    p.say(2, VehicleAttitude.of(54_000, np.eye(3), np.zeros(3)))
+    p.say(2, VehicleAttitude.of(54_004, np.eye(3), np.zeros(3)))
     assert p.fleet.failure is None
-    p.say(2, VehicleAttitude(120, np.eye(3), np.zeros(3)))
+    p.say(2, VehicleAttitude.of(120, np.eye(3), np.zeros(3)))
     assert p.fleet.failure == "vehicle 2 rebooted: its clock went back from 54.00 s to 0.12 s"
 
 
@@ -293,9 +293,9 @@ def parts(boot_ms: int, s: State) -> list[tuple[int, Any]]:
     x = positions(SYSTEM, s)[:, 0]
     out: list[tuple[int, Any]] = [(200, PayloadState(boot_ms * 1000, s.x0, s.v0, s.R0, s.Omega0))]
     for i in range(4):
-        out.append((i + 1, VehicleAttitude(boot_ms, s.R[i], s.Omega[i])))
+        out.append((i + 1, VehicleAttitude.of(boot_ms, s.R[i], s.Omega[i])))
         out.append((i + 1, VehiclePosition(boot_ms, x[i], np.zeros(3))))
-        out.append((200, CableShape(boot_ms * 1000, i + 1, 5, 0, 1.2, s.q[i].copy(), s.omega[i])))
+        out.append((200, CableShape(boot_ms * 1000, i + 1, 5, 0, 1.2, np.hstack([s.q[i], s.omega[i]]))))
     return out
 
 
@@ -332,7 +332,7 @@ class TestObserver:
             if isinstance(value, CableShape) and value.cable == 2:
                 value = value._replace(n_links=6)
             observer.feed(source, value)
-        observer.feed(200, CableShape(8000, 9, 5, 0, 1.0, np.eye(3), np.eye(3)))
+        observer.feed(200, CableShape(8000, 9, 5, 0, 1.0, np.hstack([np.eye(3), np.eye(3)])))
         assert observer.estimate(8) is None
 
     def test_a_clock_that_goes_back_starts_anew(self) -> None:
@@ -412,7 +412,7 @@ class TestGate:
             if source == 200:
                 gate.feed(200, PayloadState(ms * 1000, np.zeros(3), np.zeros(3), np.eye(3), np.zeros(3)))
             else:
-                gate.feed(source, VehicleAttitude(ms, np.eye(3), np.zeros(3)))
+                gate.feed(source, VehicleAttitude.of(ms, np.eye(3), np.zeros(3)))
 
     def test_it_opens_once_when_the_last_has_spoken(self) -> None:
         gate = Gate(2, 200, 4)
@@ -436,6 +436,6 @@ class TestGate:
 
     def test_a_trackers_own_map_messages_close_nothing(self) -> None:
         gate = Gate(1, 200, 4)
-        gate.feed(200, VehicleAttitude(4, np.eye(3), np.zeros(3)))
+        gate.feed(200, VehicleAttitude.of(4, np.eye(3), np.zeros(3)))
         self.say(gate, 4, (1,))
         assert gate.open() is None

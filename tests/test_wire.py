@@ -70,10 +70,10 @@ V = np.array([0.25, -1.5, 3.0])
     "value",
     [
         Heartbeat(2, 12, 209, 6 << 16, 4),
-        VehicleAttitude(123456, R, V),
+        VehicleAttitude.of(123456, R, V),
         VehiclePosition(5, V, -V),
         PayloadState(10**9, V, -V, R, 2 * V),
-        CableShape(4000, 3, 2, 0, 1.25, np.eye(3)[:2], np.eye(3)[1:]),
+        CableShape(4000, 3, 2, 0, 1.25, np.hstack([np.eye(3)[:2], np.eye(3)[1:]])),
         AttitudeTarget(99, 4, 1, 7, (0.5, 0.5, -0.5, 0.5), (0.1, 0.2, 0.3), 0.6),
         Command(2, 1, 400, (1.0, 21196.0, 0.0, 0.0, 0.0, 0.0, 0.0)),
         CommandAck(400, 1, 250, 191),
@@ -179,10 +179,10 @@ def test_the_quick_codec_and_pymavlink_make_the_same_bytes(v: list[float], boot_
     """Both directions: what we frame is what pymavlink frames from the same fields, cut zeros included."""
     turn, a, b = lie.exp(np.array(v[0:3])), np.array(v[3:6]), np.array(v[6:9])
     values = (
-        VehicleAttitude(boot_ms, turn, a),
+        VehicleAttitude.of(boot_ms, turn, a),
         VehiclePosition(boot_ms, a, np.zeros(3)),
         PayloadState(boot_ms, a, b, turn, a),
-        CableShape(boot_ms, 1, 1, 0, v[9], np.array([[0.0, 0.0, 1.0]]), np.zeros((1, 3))),
+        CableShape(boot_ms, 1, 1, 0, v[9], np.array([[0.0, 0.0, 1.0, 0.0, 0.0, 0.0]])),
         AttitudeTarget(boot_ms, 3, 1, 7, (1.0, 0.0, 0.0, 0.0), (v[9], v[10], v[11]), 0.5),
     )
     for value in values:

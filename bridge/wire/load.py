@@ -20,8 +20,8 @@ class LoadReport(Sheet):
         self._shape = len(many), max(many)
         self._floats: Floats = np.zeros(1 + 6 * most, np.float32)
         self._as_bytes: Bytes = self._floats.view(np.uint8)
-        links, still = np.ones((1, 3)), np.zeros(3)
-        blank = [encode(CableShape(1, i + 1, many[i], first, 1.0, links, links)) for i, first, _ in parts]
+        links, still = np.ones((1, 6)), np.zeros(3)
+        blank = [encode(CableShape(1, i + 1, many[i], first, 1.0, links)) for i, first, _ in parts]
         blank.append(encode(PayloadState(1, still, still, np.eye(3), still)))
         for row, message in zip(self.payload, blank, strict=True):
             row[: len(message.payload)] = np.frombuffer(message.payload, np.uint8)

@@ -53,7 +53,6 @@ _POSITION = mavlink.MAVLink_local_position_ned_message
 _ODOMETRY = mavlink.MAVLink_odometry_message
 _TARGET = mavlink.MAVLink_set_attitude_target_message
 _IMU = mavlink.MAVLink_highres_imu_message
-_ATTITUDE_HEAD = struct.Struct("<I7f")  # as far as it is used
 _FLOAT: Any = np.dtype("<f4")
 _CABLE_HEAD = struct.Struct("<QfBBB")  # before the links
 _ODOMETRY_FRAME = struct.calcsize("<Q55f")  # where its frame_id stands, behind the numbers
@@ -90,12 +89,11 @@ def _read_heartbeat(m: Any) -> Heartbeat:
 
 
 def _attitude(v: VehicleAttitude) -> Packed:
-    return pack(_ATTITUDE, v.boot_ms, *lie.wxyz_from_rotation(v.R), *v.Omega.tolist(), 0.0, 0.0, 0.0, 0.0)
+    return pack(_ATTITUDE, v.boot_ms, *v.frame.tolist(), 0.0, 0.0, 0.0, 0.0)
 
 
 def _read_attitude(p: bytes) -> VehicleAttitude:
-    boot_ms, w, x, y, z, *rate = _ATTITUDE_HEAD.unpack_from(p)
-    return VehicleAttitude(boot_ms, lie.rotation_from_wxyz(w, x, y, z), np.array(rate))
+    return VehicleAttitude(_whole(p, 4), np.frombuffer(p, _FLOAT, 7, 4))
 
 
 def _position(v: VehiclePosition) -> Packed:
@@ -129,7 +127,7 @@ def _read_payload(p: bytes) -> PayloadState | None:
 
 def _cable(v: CableShape) -> Packed:
     head = _CABLE_HEAD.pack(v.boot_us, v.tension_N, v.cable, v.n_links, v.first_link)
-    links = np.concatenate([v.q, v.omega], axis=1).astype(_FLOAT).tobytes()
+    links = v.links.astype(_FLOAT).tobytes()
     return Packed(CABLE_STATE.id, CABLE_STATE.msgname, CABLE_STATE.crc_extra, (head + links).rstrip(b"\0"))
 
 
@@ -137,7 +135,7 @@ def _read_cable(p: bytes) -> CableShape:
     boot_us, tension, cable, n_links, first = _CABLE_HEAD.unpack_from(p)
     k = max(0, min(LINKS_PER_FRAME, n_links - first))
     links = np.frombuffer(p, _FLOAT, 6 * k, _CABLE_HEAD.size).reshape(k, 6)
-    return CableShape(boot_us, cable, n_links, first, tension, links[:, :3], links[:, 3:])
+    return CableShape(boot_us, cable, n_links, first, tension, links)
 
 
 def _target(v: AttitudeTarget) -> Packed:

@@ -10,7 +10,7 @@ from bridge.wire.dialect import mavlink
 from bridge.wire.earth import FIELD_GAUSS, Home, altitude_m, geodetic, pressure_hPa
 from bridge.wire.frames import Packed, pack, packed
 from bridge.wire.messages import encode, odometry
-from bridge.wire.values import LandedState, Origin, VehicleAttitude, VehiclePosition
+from bridge.wire.values import LandedState, Origin, VehiclePosition
 from cablequad import lie
 from cablequad.types import Array
 
@@ -77,7 +77,8 @@ def _attitude(s: Snapshot) -> Packed:
 
 
 def _quaternion(s: Snapshot) -> Packed:
-    return encode(VehicleAttitude(s.boot_ms, s.R, s.Omega))
+    turned = (*lie.wxyz_from_rotation(s.R), *s.Omega.tolist())
+    return pack(mavlink.MAVLink_attitude_quaternion_message, s.boot_ms, *turned, 0.0, 0.0, 0.0, 0.0)
 
 
 def _local(s: Snapshot) -> Packed:

@@ -2,6 +2,9 @@
 
 from typing import NamedTuple
 
+import numpy as np
+
+from cablequad import lie
 from cablequad.types import Array
 
 
@@ -21,11 +24,25 @@ class Heartbeat(NamedTuple):
 
 
 class VehicleAttitude(NamedTuple):
-    """ATTITUDE_QUATERNION (#31)."""
+    """ATTITUDE_QUATERNION (#31), in the numbers that cross the wire; `of` makes one of arrays."""
 
     boot_ms: int
-    R: Array  # (3, 3) B -> W
-    Omega: Array  # (3,) rad/s, B
+    frame: np.ndarray  # (7,): quaternion (w, x, y, z), B -> W, of any length; rad/s, B; as single as CableShape's links
+
+    @classmethod
+    def of(cls, boot_ms: int, R: Array, Omega: Array) -> "VehicleAttitude":
+        """That of R (3, 3), B -> W, and Omega (3,) rad/s, B."""
+        return cls(boot_ms, np.array([*lie.wxyz_from_rotation(R), *Omega.tolist()]))
+
+    @property
+    def R(self) -> Array:
+        """(3, 3) B -> W."""
+        return lie.rotation_from_wxyz(*self.frame[:4].tolist())
+
+    @property
+    def Omega(self) -> Array:
+        """(3,) rad/s, B."""
+        return self.frame[4:].astype(float)
 
 
 class VehiclePosition(NamedTuple):
@@ -54,8 +71,17 @@ class CableShape(NamedTuple):
     n_links: int  # of the whole cable
     first_link: int  # from 0
     tension_N: float  # of the link at the payload
-    q: Array  # (k, 3) unit, W, quadrotor -> payload; of single precision where it came by wire
-    omega: Array  # (k, 3) rad/s, W
+    links: np.ndarray  # (k, 6): unit, W, quadrotor -> payload; rad/s, W; of single precision where it came by wire
+
+    @property
+    def q(self) -> np.ndarray:
+        """(k, 3) unit, W, quadrotor -> payload."""
+        return self.links[:, :3]
+
+    @property
+    def omega(self) -> np.ndarray:
+        """(k, 3) rad/s, W."""
+        return self.links[:, 3:]
 
 
 class AttitudeTarget(NamedTuple):
