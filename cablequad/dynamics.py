@@ -97,17 +97,21 @@ def evaluate(system: System, state: State, force: Array, out: Accelerations, wor
 
 @inlined
 def _sweep_down(system: System, state: State, force: Array, work: Workspace) -> None:
-    """Eliminate T_1 .. T_{n-1} of every cable: `pivot` and `rhs` then hold 1/k and beta in their last entries."""
+    """Eliminate T_1 .. T_{n-1} of every cable: `pivot` and `rhs` then hold 1/k and beta in their last entries.
+
+    Here and below vectors are tuples: a view of an array, even unused, costs two atomic counts of its references.
+    """
     for i in range(system.m.shape[0]):
         N = system.n_links[i]
         for j in range(N):
-            q, w = state.q[i, j], state.omega[i, j]
+            q = (state.q[i, j, 0], state.q[i, j, 1], state.q[i, j, 2])
+            w = (state.omega[i, j, 0], state.omega[i, j, 1], state.omega[i, j, 2])
             diagonal = system.inv_node[i, j] + (system.inv_node[i, j + 1] if j + 1 < N else 0.0)
             rhs = system.length[i, j] * (w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
             if j == 0:
                 rhs -= system.inv_node[i, 0] * (q[0] * force[i, 0] + q[1] * force[i, 1] + q[2] * force[i, 2])
             else:
-                above = state.q[i, j - 1]
+                above = (state.q[i, j - 1, 0], state.q[i, j - 1, 1], state.q[i, j - 1, 2])
                 e = system.inv_node[i, j] * (q[0] * above[0] + q[1] * above[1] + q[2] * above[2])
                 factor = e / work.pivot[i, j - 1]
                 diagonal -= factor * e
@@ -127,7 +131,8 @@ def _sweep_down(system: System, state: State, force: Array, work: Workspace) -> 
 @inlined
 def _solve_payload(system: System, state: State, out: Accelerations, work: Workspace) -> None:
     """Newton and Euler for the payload in its own frame: z = [R0'(xddot - g e3); Omega0_dot]."""
-    R0, O, S = state.R0, state.Omega0, work.S
+    R0, S = state.R0, work.S
+    O = (state.Omega0[0], state.Omega0[1], state.Omega0[2])
     S[:] = 0.0
     for a in range(3):
         S[a, a] = system.m0
@@ -142,12 +147,18 @@ def _solve_payload(system: System, state: State, out: Accelerations, work: Works
     OO = O[0] * O[0] + O[1] * O[1] + O[2] * O[2]
     for i in range(system.m.shape[0]):
         last = system.n_links[i] - 1
-        q, r, p, b = state.q[i, last], system.rho[i], work.p[i], work.b[i]
+        q = (state.q[i, last, 0], state.q[i, last, 1], state.q[i, last, 2])
+        r = (system.rho[i, 0], system.rho[i, 1], system.rho[i, 2])
         k, beta, m = 1.0 / work.pivot[i, last], work.rhs[i, last], system.m_tied[i]
         Or = O[0] * r[0] + O[1] * r[1] + O[2] * r[2]
+        p = (
+            R0[0, 0] * q[0] + R0[1, 0] * q[1] + R0[2, 0] * q[2],
+            R0[0, 1] * q[0] + R0[1, 1] * q[1] + R0[2, 1] * q[2],
+            R0[0, 2] * q[0] + R0[1, 2] * q[1] + R0[2, 2] * q[2],
+        )
+        b = (O[0] * Or - OO * r[0], O[1] * Or - OO * r[1], O[2] * Or - OO * r[2])
         for a in range(3):
-            p[a] = R0[0, a] * q[0] + R0[1, a] * q[1] + R0[2, a] * q[2]
-            b[a] = O[a] * Or - OO * r[a]
+            work.p[i, a], work.b[i, a] = p[a], b[a]
         # the cable's pull on the payload is F = -k (beta + p . b_i) p - m b_i, with b_i = Y - hat(rho) Omega0_dot + b
         tension = k * (beta + p[0] * b[0] + p[1] * b[1] + p[2] * b[2])
         l0, l1, l2 = r[1] * p[2] - r[2] * p[1], r[2] * p[0] - r[0] * p[2], r[0] * p[1] - r[1] * p[0]
@@ -218,11 +229,12 @@ def _solve_spd(S: Array) -> None:
 @inlined
 def _sweep_up(system: System, state: State, force: Array, out: Accelerations, work: Workspace) -> None:
     """Tensions from the payload upward, then omega_dot_j = q_j x (a_j - a_{j-1}) / l_j."""
-    Y, Od = work.S[0:3, 6], out.Omega0_dot
+    Y, Od = (work.S[0, 6], work.S[1, 6], work.S[2, 6]), (out.Omega0_dot[0], out.Omega0_dot[1], out.Omega0_dot[2])
     R0 = state.R0
     for i in range(system.m.shape[0]):
         last = system.n_links[i] - 1
-        r, b, p = system.rho[i], work.b[i], work.p[i]
+        r = (system.rho[i, 0], system.rho[i, 1], system.rho[i, 2])
+        b, p = (work.b[i, 0], work.b[i, 1], work.b[i, 2]), (work.p[i, 0], work.p[i, 1], work.p[i, 2])
         # a_i - g e3 in the payload frame
         y0 = Y[0] + Od[1] * r[2] - Od[2] * r[1] + b[0]
         y1 = Y[1] + Od[2] * r[0] - Od[0] * r[2] + b[1]
@@ -233,12 +245,12 @@ def _sweep_up(system: System, state: State, force: Array, out: Accelerations, wo
         a1 = R0[1, 0] * y0 + R0[1, 1] * y1 + R0[1, 2] * y2
         a2 = R0[2, 0] * y0 + R0[2, 1] * y1 + R0[2, 2] * y2
         for j in range(last, -1, -1):
-            q = state.q[i, j]
+            q = (state.q[i, j, 0], state.q[i, j, 1], state.q[i, j, 2])
             out.tension[i, j] = T
             inv_m, inv_l = system.inv_node[i, j], 1.0 / system.length[i, j]
             c0, c1, c2 = T * q[0], T * q[1], T * q[2]
             if j > 0:
-                u = state.q[i, j - 1]
+                u = (state.q[i, j - 1, 0], state.q[i, j - 1, 1], state.q[i, j - 1, 2])
                 T = (work.rhs[i, j - 1] + work.coupling[i, j] * T) / work.pivot[i, j - 1]
                 c0, c1, c2 = c0 - T * u[0], c1 - T * u[1], c2 - T * u[2]
                 if work.loaded[0]:
@@ -248,8 +260,9 @@ def _sweep_up(system: System, state: State, force: Array, out: Accelerations, wo
                 c0, c1, c2 = c0 + force[i, 0], c1 + force[i, 1], c2 + force[i, 2]
             c0, c1, c2 = c0 * inv_m, c1 * inv_m, c2 * inv_m
             d0, d1, d2 = (a0 - c0) * inv_l, (a1 - c1) * inv_l, (a2 - c2) * inv_l
-            w = out.omega_dot[i, j]
-            w[0], w[1], w[2] = q[1] * d2 - q[2] * d1, q[2] * d0 - q[0] * d2, q[0] * d1 - q[1] * d0
+            out.omega_dot[i, j, 0] = q[1] * d2 - q[2] * d1
+            out.omega_dot[i, j, 1] = q[2] * d0 - q[0] * d2
+            out.omega_dot[i, j, 2] = q[0] * d1 - q[1] * d0
             a0, a1, a2 = c0, c1, c2
 
 

@@ -136,18 +136,18 @@ def clear(s: Scratch) -> None:
 def derive(system: System, at: State, command: Command, s: Scratch) -> None:
     """Accelerations at `at`: payload and links, and J Omega_dot = M - Omega x J Omega of each quadrotor."""
     for i in range(system.m.shape[0]):
-        R, O, J, Ji = at.R[i], at.Omega[i], system.J[i], system.J_inv[i]
-        f = command.thrust[i]
+        O = (at.Omega[i, 0], at.Omega[i, 1], at.Omega[i, 2])
+        f, J, Ji = command.thrust[i], system.J, system.J_inv
         for a in range(3):
-            s.force[i, a] = s.on_vehicles[i, a] - f * R[a, 2]
-        h0 = J[0, 0] * O[0] + J[0, 1] * O[1] + J[0, 2] * O[2]
-        h1 = J[1, 0] * O[0] + J[1, 1] * O[1] + J[1, 2] * O[2]
-        h2 = J[2, 0] * O[0] + J[2, 1] * O[1] + J[2, 2] * O[2]
+            s.force[i, a] = s.on_vehicles[i, a] - f * at.R[i, a, 2]
+        h0 = J[i, 0, 0] * O[0] + J[i, 0, 1] * O[1] + J[i, 0, 2] * O[2]
+        h1 = J[i, 1, 0] * O[0] + J[i, 1, 1] * O[1] + J[i, 1, 2] * O[2]
+        h2 = J[i, 2, 0] * O[0] + J[i, 2, 1] * O[1] + J[i, 2, 2] * O[2]
         t0 = command.moment[i, 0] - (O[1] * h2 - O[2] * h1)
         t1 = command.moment[i, 1] - (O[2] * h0 - O[0] * h2)
         t2 = command.moment[i, 2] - (O[0] * h1 - O[1] * h0)
         for a in range(3):
-            s.Omega_dot[i, a] = Ji[a, 0] * t0 + Ji[a, 1] * t1 + Ji[a, 2] * t2
+            s.Omega_dot[i, a] = Ji[i, a, 0] * t0 + Ji[i, a, 1] * t1 + Ji[i, a, 2] * t2
     accelerate(system, at, s.force, s.acc, s.work)
 
 
