@@ -34,7 +34,7 @@ from cablequad.estimate import Belief, corrected, nothing_seen, predicted
 from cablequad.pilot import Measurement, Sample, first_memory, tick
 from cablequad.reach import reach
 from cablequad.single import Goals, fly_each, integrated
-from cablequad.state import positions
+from cablequad.state import measured, positions
 from cablequad.trajectory import at
 from logs.recorder import RecorderError
 from missions import scenario as scenarios
@@ -332,6 +332,8 @@ def _warm_up(design: Design, flight: Flight) -> None:
         integrated(np.zeros((n, 3)), goals.x, goals, 1.0)
         fly_each(design, goals.x, goals.v, flight.initial.R, goals.a, goals, flight.initial.R)
     lie.normalize(flight.initial.q.copy())
+    n, L = flight.system.length.shape
+    measured(np.ones((n, L, 6)), np.ones((n, 7)))
     setpoints = Setpoints(len(sample.f))
     setpoints.tell(0, sample.R_c, [0.5] * len(setpoints))
     setpoints.framed(bytes(len(setpoints)), bytes(len(setpoints)), 1, 0)

@@ -15,12 +15,14 @@ from bridge.wire.frames import Packed, Signer
 from bridge.wire.messages import encode
 from bridge.wire.telemetry import BUILD, Snapshot
 from bridge.wire.values import IN_AIR, ON_GROUND, AttitudeTarget, Timesync
+from cablequad import lie
 from cablequad.types import Array
 from sitl import tracker
 from sitl.batteries import Batteries
 from sitl.failures import Broken
 from sitl.firmware.arducopter import ArduCopter
 from sitl.firmware.autopilot import ATTITUDE_QUATERNION, HIGHRES_IMU, Autopilot, Body
+from sitl.firmware.navigate import attitude
 from sitl.firmware.px4 import Px4
 from sitl.places import places, tracker_endpoints
 from sitl.plant import LoosePlant, Plant, Truth
@@ -134,8 +136,11 @@ class Server:
         for build in BUILD.values():
             build(own)
         self.vehicles[0].navigator.begin(own, 10.0)
-        self.vehicles[0].navigator.force(own)
+        attitude(own, self.vehicles[0].navigator.force(own))
         self.vehicles[0].navigator.end()
+        lie.rotation_from_quat(np.array((1.0, 0.0, 0.0, 0.0)))  # what setpoints take
+        lie.rotation_from_wxyz(1.0, 0.0, 0.0, 0.0)
+        lie.exp(np.zeros(3))
         if isinstance(self.plant, Plant):
             self._tracker.warm_up(self.plant.truth(0))
 

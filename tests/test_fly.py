@@ -414,3 +414,11 @@ def test_a_replay_is_pictured_without_a_screen_and_no_view_reports_an_error(case
     assert out.strip() == str(png)
     assert png.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
     assert png.stat().st_size > 100_000
+
+
+@pytest.mark.parametrize("firmware", ["px4", "arducopter"])
+def test_vehicles_compile_nothing_once_their_clock_runs(firmware: str, offset: int) -> None:
+    """What they use for the first time when a setpoint comes, or when they hold, would stop everybody's time."""
+    script = [sys.executable, str(Path(__file__).with_name("first_use.py")), firmware, str(offset)]
+    done = subprocess.run(script, capture_output=True, text=True, timeout=120)
+    assert (done.returncode, done.stdout) == (0, ""), done.stderr
