@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 from typing import Protocol
 
-FIRST_S = 0.25  # that gaps are looked for, once there is something to do
+WINDOW_S = 0.25  # for which gaps are looked for at a time
 LEAST = 0.03  # of all processors' time
 LOOK_S = 0.1
 _STAT = Path("/proc/stat")
@@ -33,15 +33,9 @@ def in_gaps(work: Work) -> None:
     A thread that went idle may not come back without privileges: once it is late, as others keep every processor busy,
     the caller's thread goes on in its place, with the share of a processor that it has.
     """
-    before, begun = _unused_s(), time.monotonic()
-    clock = threading.Timer(FIRST_S, setattr, (work, "leave", True))
-    clock.daemon = True
-    clock.start()
-    work.run()
-    clock.cancel()
-    unused = (_unused_s() - before) / (time.monotonic() - begun) / (os.cpu_count() or 1)
-    work.leave = False
-    if not work.done and unused >= LEAST:
+    while not work.done and _unused_beside(work) < LEAST:
+        pass  # there may be none for now, as others compile what they need
+    if not work.done:
         thread = threading.Thread(target=_idle, args=(work,), name="in gaps", daemon=True)
         thread.start()
         while thread.is_alive():
@@ -49,6 +43,18 @@ def in_gaps(work: Work) -> None:
             work.leave = work.leave or work.late
         work.leave = False
     work.run()  # what is left of it
+
+
+def _unused_beside(work: Work) -> float:
+    """Go on with `work` for a while; the share of all processors' time that nobody used meanwhile."""
+    before, begun = _unused_s(), time.monotonic()
+    clock = threading.Timer(WINDOW_S, setattr, (work, "leave", True))
+    clock.daemon = True
+    clock.start()
+    work.run()
+    clock.cancel()
+    work.leave = False
+    return (_unused_s() - before) / (time.monotonic() - begun) / (os.cpu_count() or 1)
 
 
 def _unused_s() -> float:
