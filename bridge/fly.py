@@ -202,7 +202,7 @@ class _Flight:
         """An operator's command to this controller: a mission obeys some, a plan none."""
         result = self.decider.command(value.command, value.params)
         ack = encode(CommandAck(value.command, result, frame.system, frame.component))
-        self.link.send(frame.port, SYSTEM, COMPONENT, ack, frame.address)
+        self.link.put(frame.port, SYSTEM, COMPONENT, ack, frame.address)
         self.link.flush()
 
     def _compare_thrust(self, i: int, imu: Imu) -> None:

@@ -16,7 +16,7 @@ from bridge.wire.frames import SIGNED, Packed, Signer, Verdict, checksum, frame,
 from bridge.wire.messages import KINDS
 from bridge.wire.sheets import Sheet
 
-__all__ = ["Address", "Counters", "Endpoint", "Link", "LinkError", "Received", "Sent"]
+__all__ = ["Address", "Counters", "Endpoint", "Link", "LinkError", "Received"]
 
 GRACE_S = 0.002
 DATAGRAM_BYTES = 1400  # fits every network
@@ -38,17 +38,6 @@ class Received(NamedTuple):
     name: str
     frame: bytes
     value: Any  # from bridge.wire.values, or None for a message nobody here reads
-
-
-class Sent(NamedTuple):
-    """One frame that went out."""
-
-    system: int
-    component: int
-    seq: int
-    msgid: int
-    name: str
-    frame: bytes
 
 
 class Counters:
@@ -132,15 +121,13 @@ class Link:
             rounds += 1
         return out
 
-    def send(self, port: int, system: int, component: int, message: Packed, to: Address | None = None) -> Sent:
-        """`put`, and what went out."""
-        seq, whole = self.put(port, system, component, message, to)
-        return Sent(system, component, seq, message.msgid, message.name, whole)
-
     def put(
         self, port: int, system: int, component: int, message: Packed, to: Address | None = None
     ) -> tuple[int, bytes]:
-        """Queue one message as (system, component) for one address, or for everyone on the port; see `flush`."""
+        """Queue one message as (system, component) for one address, or for everyone on the port; see `flush`.
+
+        Its sequence number, and its frame.
+        """
         seq = self._numbered(port, system, component)
         whole = frame(message, seq, system, component, self.signer, port & 255)
         self._enqueue(port, whole, to)

@@ -76,7 +76,8 @@ def tensions(run: Run) -> Figure:
     _vehicles(grid[1, 0], m.t[own], 100 * m.thrust[own] / limit, "thrust, share of the limit [%]")
     grid[1, 1].plot(t, 1e3 * c["state_age"], color="0.15", linewidth=0.9)
     grid[1, 1].set_ylabel("age of the state used [ms]")
-    grid[1, 1].set_ylim(0.0, max(1.0, 1.1e3 * float(c["state_age"].max())))
+    oldest = max(1.0, 1.1e3 * float(c["state_age"].max()))
+    grid[1, 1].set_ylim(-0.05 * oldest, oldest)  # a line at 0 is seen as well
     for ax in grid[1]:
         ax.set_xlabel("time since the release [s]")
     for ax in grid.ravel():

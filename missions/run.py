@@ -30,7 +30,7 @@ from bridge.wire.values import PayloadState, VehicleAttitude
 from cablequad import lie
 from cablequad.attitude import Setpoint, flown
 from cablequad.design import Design
-from cablequad.estimate import Belief, corrected, nothing_seen, predicted
+from cablequad.estimate import Belief, corrected, first_belief, nothing_seen, predicted
 from cablequad.pilot import Measurement, Sample, first_memory, tick
 from cablequad.reach import reach
 from cablequad.single import Goals, fly_each, integrated
@@ -321,11 +321,9 @@ def _warm_up(design: Design, flight: Flight) -> None:
     """Compile what the loop calls before a clock runs: one decision and the messages it takes."""
     here = at(flight.trajectory, 0.0)
     _, sample = tick(first_memory(design), Measurement(0.0, flight.initial), here, design)
-    for value in (
-        VehicleAttitude.of(0, sample.state.R[0], sample.state.Omega[0]),
-        PayloadState(0, sample.state.x0, sample.state.v0, sample.state.R0, sample.state.Omega0),
-    ):
-        reread(encode_message(value))
+    still = sample.state
+    reread(encode_message(PayloadState(0, still.x0, still.v0, still.R0, still.Omega0)))
+    _ = reread(encode_message(VehicleAttitude.of(0, still.R[0], still.Omega[0]))).R
     if flight.scenario.mission is not None:
         n = len(flight.system.m)
         goals = Goals(np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n), np.ones(n))
@@ -343,7 +341,9 @@ def _warm_up(design: Design, flight: Flight) -> None:
         belief = Belief(flight.initial.copy(), np.zeros((len(flight.system.m), 3)))
         level = Setpoint.attitude(flight.initial.R, np.zeros(len(flight.system.m)))
         belief = predicted(filter, belief, level, flight.physics_us * 1e-6, 1)
-        corrected(filter, belief, nothing_seen(flight.system))
+        nothing = nothing_seen(flight.system)
+        corrected(filter, belief, nothing)
+        first_belief(filter, nothing._replace(x=positions(flight.system, still)[:, 0], R=still.R))
 
 
 def predict_once(flight: Flight) -> None:

@@ -28,7 +28,7 @@ def tell(word: str, host: str, port_offset: int, signing_key: bytes | None) -> s
         end, again = link.now() + ANSWER_S, 0.0
         while link.now() < end:
             if link.now() >= again:
-                link.send(0, *OPERATOR, message)
+                link.put(0, *OPERATOR, message)
                 link.flush()
                 again = link.now() + RETRY_S
             for frame in link.poll(0.1):

@@ -1,31 +1,35 @@
-"""Vehicles that hear their first setpoint, and hold after it: which compiled functions were used for the first time.
+"""Which compiled functions are used for the first time once a clock runs: by vehicles, or by what flies them.
 
 Prints their names, one a line. Run by the tests in a process of its own, where nothing has been used before.
 """
 
-import gc
 import sys
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from numba.core.dispatcher import Dispatcher
 
 from bridge.link import Received
 from bridge.wire.values import AttitudeTarget
-from missions import scenario, simulate
+from missions import run, scenario, simulate
 from sitl.server import Server
 
 LEVEL = (1.0, 0.0, 0.0, 0.0)
 
 
 def used() -> set[tuple[str, Any]]:
-    """Every compiled function that was called until now, with the types it was called with."""
-    return {
-        (f.py_func.__qualname__, types) for f in gc.get_objects() if isinstance(f, Dispatcher) for types in f.signatures
-    }
+    """Every compiled function of ours that was called until now, with the types it was called with."""
+    ours = [
+        module for name, module in sys.modules.items() if name.split(".")[0] in ("cablequad", "bridge", "sitl", "logs")
+    ]
+    functions = [f for module in ours for f in vars(module).values() if isinstance(f, Dispatcher)]
+    assert functions
+    return {(f.py_func.__qualname__, types) for f in functions for types in f.signatures}
 
 
-def main(firmware: str, offset: int) -> None:
-    """Arm, obey a setpoint for some ticks, hold for some."""
+def vehicles(firmware: str, offset: int) -> set[tuple[str, Any]]:
+    """They hear their first setpoint, obey it for some ticks, and land."""
     flight = scenario.load("paper-case-1", firmware=firmware)
     server = Server(
         simulate.settings(flight, simulate.Serving(lockstep=False, port_offset=offset)), lambda message: None
@@ -45,9 +49,32 @@ def main(firmware: str, offset: int) -> None:
                 vehicle.leave("LAND")
         server.plant.held = False
         server._one_tick()
-    print("\n".join(sorted(f"{name} {types}" for name, types in used() - before)), end="")
+    after = used()
     server.close()
+    return after - before
+
+
+def controller(name: str, offset: int) -> set[tuple[str, Any]]:
+    """A scenario's flight, from the first frame to the vehicles' hold."""
+    found: list[set[tuple[str, Any]]] = []
+    fly = run._fly
+
+    def flown(*arguments: Any) -> Any:
+        found.append(used())
+        try:
+            return fly(*arguments)
+        finally:
+            found.append(used())
+
+    run._fly = flown
+    with TemporaryDirectory() as folder:
+        flight = scenario.load(name, duration_s=3.0)
+        run.run(flight, run.Options(out=Path(folder), port_offset=offset), run.Progress())
+    before, after = found
+    return after - before
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], int(sys.argv[2]))
+    who, what, offset = sys.argv[1:]
+    new = {"vehicles": vehicles, "controller": controller}[who](what, int(offset))
+    print("\n".join(sorted(f"{name} {types}" for name, types in new)), end="")

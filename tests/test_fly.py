@@ -416,9 +416,15 @@ def test_a_replay_is_pictured_without_a_screen_and_no_view_reports_an_error(case
     assert png.stat().st_size > 100_000
 
 
-@pytest.mark.parametrize("firmware", ["px4", "arducopter"])
-def test_vehicles_compile_nothing_once_their_clock_runs(firmware: str, offset: int) -> None:
-    """What they use for the first time when a setpoint comes, or when they hold, would stop everybody's time."""
-    script = [sys.executable, str(Path(__file__).with_name("first_use.py")), firmware, str(offset)]
-    done = subprocess.run(script, capture_output=True, text=True, timeout=120)
+@pytest.mark.parametrize(
+    ("who", "what"),
+    [
+        ("vehicles", "px4"), ("vehicles", "arducopter"), ("controller", "paper-case-1"), ("controller", "lossy-link"),
+        ("controller", "lemniscate-vehicles"), ("controller", "ground-to-ground"),
+    ],
+)  # fmt: skip
+def test_nobody_compiles_anything_once_the_clock_runs(who: str, what: str, offset: int) -> None:
+    """What is used for the first time when a setpoint comes, or when vehicles hold, would stop everybody's time."""
+    script = [sys.executable, str(Path(__file__).with_name("first_use.py")), who, what, str(offset)]
+    done = subprocess.run(script, capture_output=True, text=True, timeout=240)
     assert (done.returncode, done.stdout) == (0, ""), done.stderr

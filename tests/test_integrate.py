@@ -9,6 +9,7 @@ from scipy.integrate import solve_ivp
 
 from cablequad import lie
 from cablequad.dynamics import accelerations
+from cablequad.instant import Motion, motion_of, motion_shapes, places, row
 from cablequad.integrate import Command, step
 from cablequad.state import State
 from cablequad.system import System
@@ -142,3 +143,18 @@ def test_a_state_of_integers_lists_and_views_moves_like_one_of_floats() -> None:
     force = np.tile([0, 0, -9], (4, 1))
     a, b = accelerations(system, whole, force.astype(float)), accelerations(system, odd, force)
     np.testing.assert_array_equal(a.tension, b.tension)
+
+
+@pytest.mark.parametrize(("n", "L"), [(1, 1), (4, 5), (3, 7)])
+def test_a_row_of_numbers_holds_a_motion_where_it_says(n: int, L: int, rng: np.random.Generator) -> None:
+    shapes, at = motion_shapes(n, L), places(n, L)
+    fields = [rng.normal(size=shape) for shape in shapes]
+    motion = Motion(State(*fields[:8]), *fields[8:])
+    told = row(motion.state, motion.x, motion.v, motion.tension, motion.thrust)
+    back = motion_of(np.stack([told, 2.0 * told]), shapes)
+    for had, got in zip(fields, (*back.state, *back[1:]), strict=True):
+        assert (got[0] == had).all()
+        assert (got[1] == 2.0 * had).all()
+    behind = [*motion.state[4:], motion.x, motion.v, motion.tension, motion.thrust]
+    for begin, had in zip(at, behind, strict=True):
+        assert (told[begin : begin + had.size] == had.ravel()).all()

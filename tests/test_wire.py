@@ -316,7 +316,7 @@ class TestLink:
         link, other, address = self.pair(offset)
         beat = encode(Heartbeat(2, 12, 1, 0, 3))
         to = other.getsockname()
-        seqs = [link.send(0, system, 1, beat, to).seq for system in (1, 2, 1, 1, 2)]
+        seqs = [link.put(0, system, 1, beat, to)[0] for system in (1, 2, 1, 1, 2)]
         assert seqs == [0, 0, 1, 2, 1]
         link.close()
         assert address
@@ -324,7 +324,7 @@ class TestLink:
     def test_frames_of_one_breath_share_a_datagram(self, offset: int) -> None:
         link, other, address = self.pair(offset)
         for _ in range(3):
-            link.send(0, 1, 1, encode(Heartbeat(2, 12, 1, 0, 3)), other.getsockname())
+            link.put(0, 1, 1, encode(Heartbeat(2, 12, 1, 0, 3)), other.getsockname())
         link.flush()
         datagram = other.recv(2000)
         assert len(datagram) == 3 * 21
@@ -360,7 +360,7 @@ class TestLink:
             raw.sendall(whole[k : k + 1])
             got += server.poll(0.01)
         assert [f.name for f in got] == ["HEARTBEAT", "TIMESYNC"]
-        server.send(0, 1, 1, encode(Heartbeat(2, 12, 1, 0, 3)))
+        server.put(0, 1, 1, encode(Heartbeat(2, 12, 1, 0, 3)))
         server.flush()
         assert [f.name for f in client.poll(0.5)] == ["HEARTBEAT"]
         raw.close()

@@ -2,7 +2,7 @@
 
 import math
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -88,8 +88,14 @@ def _read_heartbeat(m: Any) -> Heartbeat:
     return Heartbeat(m.type, m.autopilot, m.base_mode, m.custom_mode, m.system_status)
 
 
+def attitude(boot_ms: int, quat_wxyz: Sequence[float], rates: Sequence[float]) -> Packed:
+    """ATTITUDE_QUATERNION, quaternion B -> W and body rates in rad/s."""
+    return pack(_ATTITUDE, boot_ms, *quat_wxyz, *rates, 0.0, 0.0, 0.0, 0.0)
+
+
 def _attitude(v: VehicleAttitude) -> Packed:
-    return pack(_ATTITUDE, v.boot_ms, *v.frame.tolist(), 0.0, 0.0, 0.0, 0.0)
+    numbers = v.frame.tolist()
+    return attitude(v.boot_ms, numbers[:4], numbers[4:])
 
 
 def _read_attitude(p: bytes) -> VehicleAttitude:

@@ -9,29 +9,36 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bridge.wire.dialect import Kind
+from bridge.wire.dialect import mavlink
+from bridge.wire.frames import Packed
 from cablequad import lie
 from cablequad._jit import inlined, jit
 from cablequad.instant import places
 from cablequad.types import Array, Bytes, Counts, Floats
 
 HEADER, CHECKSUM = 10, 2
+PAYLOAD = 255  # bytes at most
 
 
 class Sheet:
     """k messages: what is in them stands in the rows of `payload`, trailing zeros and all."""
 
-    def __init__(self, kinds: Sequence[Kind]) -> None:
-        self.names = tuple(kind.msgname for kind in kinds)
-        self.msgids = tuple(kind.id for kind in kinds)
-        self._sizes: Counts = np.array([kind.unpacker.size for kind in kinds], np.int64)
-        self._kinds = np.array([(*kind.id.to_bytes(3, "little"), kind.crc_extra) for kind in kinds], np.uint8)
-        self.payload: Bytes = np.zeros((len(kinds), int(self._sizes.max())), np.uint8)
-        self._frames: Bytes = np.zeros(len(kinds) * (HEADER + CHECKSUM) + int(self._sizes.sum()), np.uint8)
-        self._ends: Counts = np.zeros(len(kinds), np.int64)
+    def __init__(self, messages: Sequence[Packed]) -> None:
+        """`messages`: what stays of each as it is, and something where it will be filled in."""
+        sizes = [mavlink.mavlink_map[m.msgid].unpacker.size for m in messages]
+        self.msgids = [m.msgid for m in messages]
+        self._sizes: Counts = np.array(sizes, np.int64)
+        self._kinds = np.array([(*m.msgid.to_bytes(3, "little"), m.crc_extra) for m in messages], np.uint8)
+        self.payload: Bytes = np.zeros((len(messages), max(sizes)), np.uint8)
+        for row, message in zip(self.payload, messages, strict=True):
+            row[: len(message.payload)] = np.frombuffer(message.payload, np.uint8)
+        self.floats: Floats = np.zeros(PAYLOAD // 4, np.float32)  # of one message on their way into its payload
+        self.as_bytes: Bytes = self.floats.view(np.uint8)  # the same memory
+        self._frames: Bytes = np.zeros(len(messages) * (HEADER + CHECKSUM) + sum(sizes), np.uint8)
+        self._ends: Counts = np.zeros(len(messages), np.int64)
 
     def __len__(self) -> int:
-        return len(self.names)
+        return len(self.msgids)
 
     def framed(self, seqs: bytes, systems: bytes, component: int, flags: int) -> list[bytes]:
         """The frames, with these sequence numbers and senders; `flags` as for MAVLink 2's incompatibility flags."""

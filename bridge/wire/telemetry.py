@@ -9,7 +9,7 @@ import numpy as np
 from bridge.wire.dialect import mavlink
 from bridge.wire.earth import FIELD_GAUSS, Home, altitude_m, geodetic, pressure_hPa
 from bridge.wire.frames import Packed, pack, packed
-from bridge.wire.messages import encode, odometry
+from bridge.wire.messages import attitude, encode, odometry
 from bridge.wire.values import LandedState, Origin, VehiclePosition
 from cablequad import lie
 from cablequad.types import Array
@@ -77,8 +77,7 @@ def _attitude(s: Snapshot) -> Packed:
 
 
 def _quaternion(s: Snapshot) -> Packed:
-    turned = (*lie.wxyz_from_rotation(s.R), *s.Omega.tolist())
-    return pack(mavlink.MAVLink_attitude_quaternion_message, s.boot_ms, *turned, 0.0, 0.0, 0.0, 0.0)
+    return attitude(s.boot_ms, lie.wxyz_from_rotation(s.R), s.Omega.tolist())
 
 
 def _local(s: Snapshot) -> Packed:

@@ -265,9 +265,9 @@ class JointServer:
         self._tracker.tell(self._sensors.tracked(truth))
         if now % LANDED_US == 0 or now == self._released_us:
             landed = encode(LandedState(ON_GROUND if self.plant.held else IN_AIR))
-            self.link.send(0, tracker.SYSTEM, tracker.COMPONENT, landed)
+            self.link.put(0, tracker.SYSTEM, tracker.COMPONENT, landed)
         if now % tracker.HEARTBEAT_US == 0:
-            self.link.send(0, tracker.SYSTEM, tracker.COMPONENT, origin(s.home))
+            self.link.put(0, tracker.SYSTEM, tracker.COMPONENT, origin(s.home))
         self.link.flush()
 
     def _listen(self) -> None:
@@ -275,7 +275,7 @@ class JointServer:
         for frame in self.link.poll(0.0):
             if isinstance(frame.value, Timesync) and frame.value.tc1 == 0:
                 answer = encode(Timesync(self.now_us * 1000, frame.value.ts1))
-                self.link.send(frame.port, tracker.SYSTEM, tracker.COMPONENT, answer, frame.address)
+                self.link.put(frame.port, tracker.SYSTEM, tracker.COMPONENT, answer, frame.address)
                 self.link.flush()
 
     # -- what happens --------------------------------------------------------------------------------------------------
