@@ -2,6 +2,7 @@
 
 from array import array
 from collections.abc import Callable, Mapping, Sequence
+from operator import attrgetter
 from typing import NamedTuple, Protocol
 
 from bridge.decide import Decider
@@ -21,6 +22,7 @@ from cablequad.pilot import Sample
 PROCESS_ANYWAY_S = 0.5  # wall clock: frames that complete no state are acted on after this long all the same
 SILENT_S = 3.0  # wall clock without a single frame
 HOLD_S = 6.0  # wall clock for the vehicles to take over at the end
+SENDER = attrgetter("system")
 
 
 class Outcome(NamedTuple):
@@ -79,6 +81,7 @@ class _Flight:
         self.routes: dict[int, tuple[int, Address]] = {}
         self.everyone = range(1, fleet.n + 1)
         self.pending: list[Received] = []
+        self.heard: tuple[int, list[Received]] | None = None  # and when; not recorded yet, as nobody waits for that
         self.now_us = 0
         self.quiet_s = 0.0  # listened for in vain since a frame came; what we do ourselves is nobody's silence
         self.last: tuple[int, float] | None = None
@@ -159,10 +162,10 @@ class _Flight:
 
     def _process(self) -> None:
         """Let the links' faults act, then feed everyone in an order that does not depend on which socket came first."""
-        frames = sorted(self.pending, key=lambda frame: frame.system)
+        frames = sorted(self.pending, key=SENDER)
         self.pending = []
         for related in self.related:
-            self.record.event(self.now_us, "clock", f"vehicle {related.vehicle}", related.text())
+            self.event("clock", f"vehicle {related.vehicle}", related.text())
         self.related = []
         if self.channels:
             for frame in frames:
@@ -188,15 +191,27 @@ class _Flight:
                 if kind is Imu and value is not None and self.fleet.flying and system <= self.fleet.n:
                     self.felt.append((system - 1, value))
         if frames:
-            self.record.received(self.now_us, frames)
+            self.record_heard()
+            self.heard = (self.now_us, frames)
         if self.fleet.released_at is not None and not self.released:
             self.released = True
             what = self.decider.released()
             for channel in self.channels.values():
                 channel.released_us = self.now_us
-            self.record.event(self.now_us, "release", "all", f"{what}: t = 0")
+            self.event("release", "all", f"{what}: t = 0")
         for source, said in self.fleet.texts():
-            self.record.event(self.now_us, "statustext", f"vehicle {source}", said.text)
+            self.event("statustext", f"vehicle {source}", said.text)
+
+    def record_heard(self) -> None:
+        """What came in stands in the log before anything that it led to."""
+        if self.heard is not None:
+            self.record.received(*self.heard)
+            self.heard = None
+
+    def event(self, kind: str, subject: str, text: str) -> None:
+        """Something worth a line, now."""
+        self.record_heard()
+        self.record.event(self.now_us, kind, subject, text)
 
     def _told(self, frame: Received, value: Command) -> None:
         """An operator's command to this controller: a mission obeys some, a plan none."""
@@ -228,7 +243,7 @@ class _Flight:
         decided = self.decider.answer(t, now, instant)
         sample = decided.sample
         for event in decided.events:
-            self.record.event(self.now_us, *event)
+            self.event(*event)
         setpoints: Setpoints | None = None
         try:
             setpoints = self.fleet.setpoints(sample, instant.boot_ms)
@@ -260,6 +275,7 @@ class _Flight:
             to += self.everyone
             frames += self.link.put_all(routes, bytes([SYSTEM]) * len(routes), COMPONENT, setpoints)
         self.link.flush()
+        self.record_heard()
         if frames:
             self.record.sent(self.now_us, to, frames)
 
@@ -320,8 +336,9 @@ def fly(
     except KeyboardInterrupt:
         interrupted, reason = True, "interrupted by the user"
     timing = flight.timing()
-    record.event(flight.now_us, "end", "all", reason)
+    flight.event("end", "all", reason)
     _let_go(flight)
+    flight.record_heard()
     return Outcome(completed, interrupted, reason), timing._replace(unread=len(flight.pending))
 
 
@@ -340,4 +357,4 @@ def _let_go(flight: _Flight) -> None:
     except KeyboardInterrupt:
         return
     record_text = "every vehicle holds by itself" if fleet.at_rest else "not every vehicle confirmed that it holds"
-    flight.record.event(flight.now_us, "hold", "all", record_text)
+    flight.event("hold", "all", record_text)

@@ -21,6 +21,7 @@ class Gate:
         self._period_ms = period_ms
         self._told_ms = -1
         self._own_time: set[int] = set()  # sources whose stamps are not the tracker's; nobody waits for them
+        self._moved = False  # whether there may be something to tell
 
     def feed(self, source: int, value: object) -> None:
         """Take a value that closes what `source` says of a tick."""
@@ -34,7 +35,7 @@ class Gate:
         if (source == self._tracker and not known) or (
             known and (stamp > self._newest[source] or stamp < self._newest[source] - REBOOT_MS)
         ):
-            self._newest[source] = stamp
+            self._newest[source], self._moved = stamp, True
             tracker = self._newest.get(self._tracker, -1)
             beside = tracker >= 0 and (stamp - tracker) % self._period_ms != 0
             if source != self._tracker and known:
@@ -42,6 +43,13 @@ class Gate:
 
     def open(self) -> int | None:
         """The tick (ms) that has come and was not told yet."""
+        if not self._moved:
+            return None
+        tick = self._come()
+        self._moved = tick is not None
+        return tick
+
+    def _come(self) -> int | None:
         stamps = [stamp for source, stamp in self._newest.items() if source not in self._own_time]
         if not stamps or min(self._newest.values()) < 0:
             return None

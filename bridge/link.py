@@ -5,13 +5,12 @@ in; what goes to one address in one breath shares a datagram.
 """
 
 import select
-import selectors
-import socket
 import time
 from collections.abc import Sequence
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 from bridge.ports import Address, Endpoint, LinkError, Port, StreamPort, open_port
+from bridge.watch import Watch
 from bridge.wire.frames import SIGNED, Packed, Signer, Verdict, checksum, frame, targeted
 from bridge.wire.messages import KINDS
 from bridge.wire.sheets import Sheet
@@ -20,9 +19,6 @@ __all__ = ["Address", "Counters", "Endpoint", "Link", "LinkError", "Received"]
 
 GRACE_S = 0.002
 DATAGRAM_BYTES = 1400  # fits every network
-LONG_S = 0.02  # epoll counts milliseconds, which is too coarse for shorter waits; select() on it does not
-_Selector: Any = getattr(selectors, "EpollSelector", selectors.SelectSelector)
-EXACT = not hasattr(selectors, "EpollSelector")
 MOST_ROUNDS = 512  # a flood must not keep the loop from its own work
 
 
@@ -61,13 +57,13 @@ class Link:
         self.ports: list[Port] = []
         self.counters = Counters(len(endpoints))
         self.signer = signer
-        self._selector: selectors.BaseSelector = _Selector()
+        self._watch = Watch()
         self._next_seq: dict[int, int] = {}  # by port, system and component
         self._last_seq: dict[int, int] = {}
         self._queue: dict[tuple[int, Address], list[bytes]] = {}
         try:
             for index, endpoint in enumerate(endpoints):
-                self.ports.append(open_port(endpoint, self._selector, index))
+                self.ports.append(open_port(endpoint, self._watch, index))
             self._streams = [port for port in self.ports if isinstance(port, StreamPort)]
         except BaseException:
             self.close()
@@ -87,37 +83,32 @@ class Link:
         """Frames that have arrived, waiting up to `timeout` s for the first.
 
         `closing` is the port on which the last of a burst is expected: whoever is woken by the first reads on while
-        the rest is on its way, and sleeps once more at most, not before every datagram; no longer than `GRACE_S`.
+        the rest is on its way, and sleeps once more at most, not before every datagram; no longer than `GRACE_S`. What
+        comes beside the burst may stay until the next call.
         """
         now = time.monotonic()
         for stream in self._streams:
             stream.tend(now)
         out: list[Received] = []
-        if EXACT or not 0.0 < timeout < LONG_S:
-            ready = self._selector.select(max(0.0, timeout))
-        else:
-            select.select((cast(Any, self._selector),), (), (), timeout)
-            ready = self._selector.select(0.0)
-        rounds = 0
+        ready = self._watch.ready(max(0.0, timeout))
+        rounds, closed = 0, False
         while ready and rounds < MOST_ROUNDS:
-            for key, _ in ready:
-                index = int(key.data)
-                read_from = key.fileobj
-                assert isinstance(read_from, socket.socket)
+            for index, read_from in ready:
                 port = self.ports[index]
-                if index == closing:
-                    closing = None
                 for address, data in port.receive(read_from):
                     frames = self._split(index, address, data)
                     if frames:
                         port.learn(address)
                         out += frames
+                closed = closed or index == closing
+            if closed:
+                break
             # asking once whether there is more costs less than being told by every socket that there is none
-            ready = self._selector.select(0.0)
+            ready = self._watch.ready(0.0)
             if not ready and closing is not None:
                 waits_on, closing = self.ports[closing].listening(), None
                 if waits_on and select.select(waits_on, (), (), GRACE_S)[0]:
-                    ready = self._selector.select(0.0)
+                    ready = self._watch.ready(0.0)
             rounds += 1
         return out
 
@@ -136,7 +127,7 @@ class Link:
     def put_all(
         self, routes: Sequence[tuple[int, Address | None]], systems: bytes, component: int, sheet: Sheet
     ) -> list[bytes]:
-        """`put` of every message of a sheet, each on its port as its system, for its address; their frames."""
+        """`put` of a sheet's first messages, one for each route, on its port as its system, for its address."""
         seqs = bytes([self._numbered(port, who, component) for (port, _), who in zip(routes, systems, strict=True)])
         frames = sheet.framed(seqs, systems, component, 0 if self.signer is None else SIGNED)
         if self.signer is not None:
@@ -166,7 +157,7 @@ class Link:
         """Send what waits and release the sockets."""
         if self.ports:
             self.flush()
-        self._selector.close()
+        self._watch.close()
         for port in self.ports:
             port.close()
 

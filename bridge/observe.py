@@ -184,11 +184,8 @@ class Observer:
     def acting(self, boot_ms: int) -> tuple[Array, Array] | None:
         """R_c and f that act from `boot_ms` on, if they arrived."""
         due = boot_ms - self._loop.delay_ms
-        command = self._commands.get(due)
-        if command is None:
-            earlier = [stamp for stamp in self._commands if stamp < due]
-            command = self._commands[max(earlier)] if earlier else None
-        return command
+        newest_first = reversed(self._commands.items())
+        return next((command for stamp, command in newest_first if stamp <= due), None)
 
     # -- inside --------------------------------------------------------------------------------------------------------
 

@@ -1,9 +1,10 @@
 """Sockets: where a link listens or speaks, over UDP or TCP, and who is on the other side."""
 
-import selectors
 import socket
 from collections import OrderedDict
 from typing import NamedTuple
+
+from bridge.watch import Watch
 
 Address = tuple[str, int]
 
@@ -61,7 +62,7 @@ class Endpoint(NamedTuple):
 class DatagramPort:
     """One UDP socket."""
 
-    def __init__(self, endpoint: Endpoint, watch: selectors.BaseSelector, index: int) -> None:
+    def __init__(self, endpoint: Endpoint, watch: Watch, index: int) -> None:
         self.endpoint = endpoint
         self.peers: OrderedDict[Address, None] = OrderedDict()
         self.heard = endpoint.peer is not None  # whether somebody may be there
@@ -74,7 +75,7 @@ class DatagramPort:
         peer = endpoint.peer
         here = endpoint.bind or ("127.0.0.1" if peer is not None and peer[0] == "127.0.0.1" else "", 0)
         bind(self.socket, here, "udp")
-        watch.register(self.socket, selectors.EVENT_READ, index)
+        watch.add(self.socket, index)
 
     def receive(self, ready: socket.socket) -> list[tuple[Address, bytes]]:
         """The datagram that waited longest, whole by itself."""
@@ -123,7 +124,7 @@ class DatagramPort:
 class StreamPort:
     """TCP: a listener and its clients, or a client that reconnects by itself."""
 
-    def __init__(self, endpoint: Endpoint, watch: selectors.BaseSelector, index: int) -> None:
+    def __init__(self, endpoint: Endpoint, watch: Watch, index: int) -> None:
         self.endpoint = endpoint
         self._watch, self._index = watch, index
         self._listener: socket.socket | None = None
@@ -137,7 +138,7 @@ class StreamPort:
             self._listener.setblocking(False)
             bind(self._listener, endpoint.bind, "tcp")
             self._listener.listen(PEERS_KEPT)
-            watch.register(self._listener, selectors.EVENT_READ, index)
+            watch.add(self._listener, index)
 
     def listening(self) -> list[socket.socket]:
         """The sockets that data comes in on."""
@@ -224,20 +225,20 @@ class StreamPort:
         client.setblocking(False)
         client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._clients[address] = client
-        self._watch.register(client, selectors.EVENT_READ, self._index)
+        self._watch.add(client, self._index)
 
     def _drop(self, address: Address) -> None:
         self._rest.pop(address, None)
         self._unsent.pop(address, None)
         client = self._clients.pop(address)
-        self._watch.unregister(client)
+        self._watch.drop(client)
         client.close()
 
 
 Port = DatagramPort | StreamPort
 
 
-def open_port(endpoint: Endpoint, watch: selectors.BaseSelector, index: int) -> Port:
+def open_port(endpoint: Endpoint, watch: Watch, index: int) -> Port:
     """The port of an endpoint, its sockets watched by `watch`. Raises LinkError for an address that is taken."""
     return (StreamPort if endpoint.stream else DatagramPort)(endpoint, watch, index)
 

@@ -10,7 +10,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from bridge.faults import Channel, Faults, generator
-from bridge.link import Link, Received
+from bridge.link import Address, Link, Received
+from bridge.wire.attitudes import Attitudes
 from bridge.wire.frames import Packed, Signer
 from bridge.wire.messages import encode
 from bridge.wire.telemetry import BUILD, Snapshot
@@ -76,6 +77,8 @@ class Server:
         self._released_us: int | None = None
         self._truth: Truth | None = None  # of the coming tick
         self._own: list[Snapshot] = []  # of the coming tick
+        self._attitudes = Attitudes(sum(len(ports) for ports in self._ports))
+        self._closing: list[tuple[int, int, Snapshot]] = []  # ports, and vehicles whose attitude closes the coming tick
         self._missed_answers = 0
         self._missed_deadlines = 0
         self._lateness: list[float] = []
@@ -135,6 +138,8 @@ class Server:
         own = self.vehicles[0].snapshot(0, R[0], Omega[0], x[0], v[0], NO_FORCE, self.settings.home)
         for build in BUILD.values():
             build(own)
+        self._attitudes.tell(0, [own.R], [own.Omega])
+        self._attitudes.framed(bytes(1), bytes(1), 1, 0)
         self.vehicles[0].navigator.begin(own, 10.0)
         attitude(own, self.vehicles[0].navigator.force(own))
         self.vehicles[0].navigator.end()
@@ -189,6 +194,8 @@ class Server:
             own = self._self_image(i, vehicle.snapshot(now, R[i], Omega[i], x[i], v[i], force[i], home))
             self._own.append(own)
             self._speak(i, vehicle, self._sensors.vehicle(i, own, felt))
+        if self._closing:
+            self._close(now)
         if self._truth is not None:
             self._tracker.tell(self._sensors.tracked(self._truth))
 
@@ -247,20 +254,36 @@ class Server:
 
     def _speak(self, i: int, vehicle: Autopilot, snapshot: Snapshot) -> None:
         audible, ports, down = self._audible(i), self._ports[i], self._down[i]
-        expected = False
         for message_of, message in vehicle.outgoing(snapshot, audible):
             for link, port in enumerate(ports):
                 if (message_of is None or message_of == link) and audible[link]:
-                    if down is not None:
-                        down.put((port, message), len(message.payload) + 12, snapshot.boot_us)
-                        continue
-                    self.link.put(port, vehicle.system_id, 1, message)
-                    if message.msgid == ATTITUDE_QUATERNION and port == self._controller_port[i]:
-                        expected = True
-        self._expected[i] = expected
+                    self._say(i, port, message, snapshot.boot_us)
+        self._expected[i] = False
+        for link in vehicle.closing:
+            port = ports[link]
+            if down is not None:
+                self._say(i, port, BUILD[ATTITUDE_QUATERNION](snapshot), snapshot.boot_us)
+            else:
+                self._closing.append((port, vehicle.system_id, snapshot))
+                self._expected[i] = self._expected[i] or port == self._controller_port[i]
         if down is not None:
             for port, message in down.take(snapshot.boot_us):
                 self.link.put(port, vehicle.system_id, 1, message)
+
+    def _say(self, i: int, port: int, message: Packed, now: int) -> None:
+        down = self._down[i]
+        if down is None:
+            self.link.put(port, self.vehicles[i].system_id, 1, message)
+        else:
+            down.put((port, message), len(message.payload) + 12, now)
+
+    def _close(self, now: int) -> None:
+        """The attitudes of all, where links do not fail."""
+        ports, systems, own = zip(*self._closing, strict=True)
+        self._attitudes.tell(now // 1000, [s.R for s in own], [s.Omega for s in own])
+        to: list[tuple[int, Address | None]] = [(port, None) for port in ports]
+        self.link.put_all(to, bytes(systems), 1, self._attitudes)
+        self._closing = []
 
     def _audible(self, i: int) -> tuple[bool, ...]:
         """On which of vehicle i's links somebody may listen."""

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from bridge.link import Endpoint, Link, LinkError
 from bridge.wire import generate
+from bridge.wire.attitudes import Attitudes
 from bridge.wire.dialect import CABLE_STATE, mavlink
 from bridge.wire.earth import Home
 from bridge.wire.frames import Packed, Signer, Verdict, fields, frame, packed
@@ -139,6 +140,17 @@ def test_setpoints_of_a_fleet_are_those_of_its_vehicles_one_by_one(asked: list[l
         quat = lie.wxyz_from_rotation(R_c[k])
         one = AttitudeTarget(boot_ms, k + 1, 1, 7, quat, (0.0, 0.0, 0.0), thrust[k])
         assert whole == frame(encode(one), k, 250, 191)
+
+
+@given(st.lists(st.lists(st.floats(-3.0, 3.0), min_size=6, max_size=6), min_size=1, max_size=12), st.integers(0, 2**31))
+def test_attitudes_of_a_fleet_are_those_of_its_vehicles_one_by_one(moving: list[list[float]], boot_ms: int) -> None:
+    all_R, rates = [lie.exp(np.array(m[:3])) for m in moving], [np.array(m[3:]) for m in moving]
+    sheet = Attitudes(len(moving) + 2)  # not all have something to say
+    for k in (len(moving), 1):
+        sheet.tell(boot_ms, all_R[:k], rates[:k])
+        frames = sheet.framed(bytes(range(k)), bytes(range(1, k + 1)), 1, 0)
+        told = [VehicleAttitude.of(boot_ms, own, Omega) for own, Omega in zip(all_R[:k], rates, strict=False)]
+        assert frames == [frame(encode(one), i, i + 1, 1) for i, one in enumerate(told)]
 
 
 @pytest.mark.parametrize("wrong", [math.nan, math.inf, -math.inf])

@@ -7,10 +7,10 @@ import numpy as np
 
 from bridge.wire.earth import Home
 from bridge.wire.messages import reread
-from bridge.wire.telemetry import Snapshot
+from bridge.wire.telemetry import BUILD, Snapshot
 from bridge.wire.values import IN_AIR, ON_GROUND, AttitudeTarget, Command, CommandAck, Heartbeat, StatusText
 from cablequad import lie
-from sitl.firmware.autopilot import Actuation, Autopilot, Body, LinkKind
+from sitl.firmware.autopilot import ATTITUDE_QUATERNION, Actuation, Autopilot, Body, LinkKind, Outgoing
 
 TICK = 4000
 LEVEL = (1.0, 0.0, 0.0, 0.0)
@@ -45,8 +45,14 @@ class Bench:
                 self.send(target)
             self.vehicle.tick(self.now)
             self.act = self.vehicle.actuation(self.snapshot())
-            out = self.vehicle.outgoing(self.snapshot(), (True, False, False))
+            out = self.outgoing((True, False, False))
             self.heard += [reread(o.message) for o in out if o.link in (0, None)]
+
+    def outgoing(self, audible: tuple[bool, ...]) -> list[Outgoing]:
+        """Everything that is said at this tick, what closes it last."""
+        s, vehicle = self.snapshot(), self.vehicle
+        out = vehicle.outgoing(s, audible)
+        return out + [Outgoing(link, BUILD[ATTITUDE_QUATERNION](s)) for link in vehicle.closing]
 
     def snapshot(self) -> Snapshot:
         return self.vehicle.snapshot(self.now, self.R, self.Omega, *self.point, np.zeros(3), Home())
@@ -100,7 +106,7 @@ class Bench:
         total = 0
         for _ in range(ticks):
             self.now += TICK
-            out = self.vehicle.outgoing(self.snapshot(), (True, True, False))
+            out = self.outgoing((True, True, False))
             total += sum(o.message.msgid == msgid and o.link in (0, None) for o in out)
         return total
 

@@ -41,12 +41,15 @@ class Sheet:
         return len(self.msgids)
 
     def framed(self, seqs: bytes, systems: bytes, component: int, flags: int) -> list[bytes]:
-        """The frames, with these sequence numbers and senders; `flags` as for MAVLink 2's incompatibility flags."""
+        """The frames of the first messages, as many as there are sequence numbers, each with its sender.
+
+        `flags` as for MAVLink 2's incompatibility flags.
+        """
         size = _framed(
             self.payload, self._sizes, self._kinds, seqs, systems, component, flags, self._frames, self._ends
         )
         whole, at, out = self._frames[:size].tobytes(), 0, []
-        for end in self._ends.tolist():
+        for end in self._ends[: len(seqs)].tolist():
             out.append(whole[at:end])
             at = end
         return out
@@ -72,7 +75,7 @@ def _framed(
     ends: Counts,
 ) -> int:  # fmt: skip
     at = 0
-    for k in range(len(sizes)):
+    for k in range(len(seqs)):
         size = sizes[k]
         while size > 1 and payload[k, size - 1] == 0:
             size -= 1
@@ -141,6 +144,20 @@ def put_targets(R_c: Array, thrust: Array, boot_ms: int, payload: Bytes, floats:
         _put_whole(payload, k, boot_ms, 4)
         _put_floats(payload, k, 4, as_bytes, 0, 8)
     return -1
+
+
+@jit
+def put_attitudes(R: Array, Omega: Array, boot_ms: int, payload: Bytes, floats: Floats, as_bytes: Bytes) -> None:
+    """Fill in time, quaternion and rates of ATTITUDE_QUATERNION, for attitudes (k, 3, 3) and rates (k, 3) rad/s.
+
+    `floats` and `as_bytes` are one memory.
+    """
+    for k in range(len(R)):
+        floats[0], floats[1], floats[2], floats[3] = lie.wxyz_from_rotation(R[k])
+        for a in range(3):
+            floats[4 + a] = Omega[k, a]
+        _put_whole(payload, k, boot_ms, 4)
+        _put_floats(payload, k, 4, as_bytes, 0, 7)
 
 
 @inlined

@@ -127,6 +127,7 @@ class Autopilot(ABC):
         self._next_heartbeat_us = 0
         self._outbox: list[Outgoing] = []
         self._asked_for: list[tuple[int | None, int]] = []  # (link, message id) to build from the tick's snapshot
+        self.closing: list[int] = []  # links on which the attitude quaternion ends what is said at this tick
         self._param_queue: list[tuple[int, int]] = []
         self._warned = ""
         self._texts_said = 0
@@ -303,7 +304,7 @@ class Autopilot(ABC):
         return bool(self._asked_for) and any(asked == msgid for _, asked in self._asked_for)
 
     def outgoing(self, s: Snapshot, audible: tuple[bool, ...]) -> list[Outgoing]:
-        """Everything to send at this tick; the attitude quaternion comes last, so that it closes the tick.
+        """What to send at this tick, but for the attitude quaternion, which closes it on the links in `closing`.
 
         Links that are not `audible` (nobody there yet) get no streams.
         """
@@ -318,18 +319,20 @@ class Autopilot(ABC):
                 out.append(Outgoing(link, encode(self.parameters.report(index))))
             del self._param_queue[:PARAMS_PER_TICK]
         built: dict[int, Packed] = {}
-        last: list[Outgoing] = []
+        self.closing = []
         for link, streams in enumerate(self.streams):
             if not audible[link]:
                 continue
             for msgid in streams.due(now_us):
-                if msgid == M.MAVLINK_MSG_ID_TIMESYNC:
+                if msgid == ATTITUDE_QUATERNION:
+                    self.closing.append(link)
+                elif msgid == M.MAVLINK_MSG_ID_TIMESYNC:
                     out.append(Outgoing(link, encode(self._timesync(now_us))))
-                    continue
-                if msgid not in built:
-                    built[msgid] = BUILD[msgid](s)
-                (last if msgid == ATTITUDE_QUATERNION else out).append(Outgoing(link, built[msgid]))
-        return out + last
+                else:
+                    if msgid not in built:
+                        built[msgid] = BUILD[msgid](s)
+                    out.append(Outgoing(link, built[msgid]))
+        return out
 
     def _timesync(self, now_us: int) -> Timesync:
         """The question this vehicle asks of others."""
