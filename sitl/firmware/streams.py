@@ -1,6 +1,7 @@
 """Which messages a link gets and how often: SET_MESSAGE_INTERVAL over a persona's defaults."""
 
 from collections.abc import Mapping
+from heapq import heapify, heapreplace
 
 DENIED_INTERVAL = -2
 
@@ -13,6 +14,8 @@ class Streams:
         self._tick_us = tick_us
         self._interval = dict(self._defaults)
         self._next = dict.fromkeys(self._interval, 0)
+        self._queue: list[tuple[int, int]] = []  # (when, message id) of every stream, as a heap
+        self._line_up()
 
     def set_interval(self, msgid: int, interval_us: float) -> None:
         """MAV_CMD_SET_MESSAGE_INTERVAL: us between messages; 0 the default, -1 stops. No faster than the tick."""
@@ -23,6 +26,7 @@ class Streams:
         else:
             self._interval[msgid] = max(wanted, self._tick_us)
             self._next[msgid] = 0
+        self._line_up()
 
     def interval_us(self, msgid: int) -> int:
         """us between messages, -1 if stopped."""
@@ -32,15 +36,18 @@ class Streams:
         """Whether this message will be due at `now_us`."""
         return self._next.get(msgid, now_us + 1) <= now_us
 
-    def coming(self, now_us: int) -> list[int]:
-        """Message ids that will be due at `now_us`, as things stand."""
-        return [msgid for msgid, at in self._next.items() if at <= now_us]
-
     def due(self, now_us: int) -> list[int]:
         """Message ids to send at this tick, in the order of their ids; streams of one rate keep the same time."""
-        out = self.coming(now_us)
-        for msgid in out:
+        out, queue = [], self._queue
+        while queue and queue[0][0] <= now_us:
+            msgid = queue[0][1]
             interval = self._interval[msgid]
-            self._next[msgid] = interval * (now_us // interval + 1)
+            at = self._next[msgid] = interval * (now_us // interval + 1)
+            heapreplace(queue, (at, msgid))
+            out.append(msgid)
         out.sort()
         return out
+
+    def _line_up(self) -> None:
+        self._queue = [(at, msgid) for msgid, at in self._next.items()]
+        heapify(self._queue)
