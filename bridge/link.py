@@ -83,26 +83,24 @@ class Link:
         """Frames that have arrived, waiting up to `timeout` s for the first.
 
         `closing` is the port on which the last of a burst is expected: whoever is woken by the first reads on while
-        the rest is on its way, and sleeps once more at most, not before every datagram; no longer than `GRACE_S`. What
-        comes beside the burst may stay until the next call.
+        the rest is on its way, and sleeps once more at most, not before every datagram; no longer than `GRACE_S`.
         """
         now = time.monotonic()
         for stream in self._streams:
             stream.tend(now)
         out: list[Received] = []
         ready = self._watch.ready(max(0.0, timeout))
-        rounds, closed = 0, False
+        rounds = 0
         while ready and rounds < MOST_ROUNDS:
             for index, read_from in ready:
+                if index == closing:
+                    closing = None
                 port = self.ports[index]
                 for address, data in port.receive(read_from):
                     frames = self._split(index, address, data)
                     if frames:
                         port.learn(address)
                         out += frames
-                closed = closed or index == closing
-            if closed:
-                break
             # asking once whether there is more costs less than being told by every socket that there is none
             ready = self._watch.ready(0.0)
             if not ready and closing is not None:
@@ -138,10 +136,10 @@ class Link:
         return frames
 
     def flush(self) -> None:
-        """Put what is queued on the wire, in as few datagrams as hold it."""
+        """Put what is queued on the wire, in as few datagrams as hold it, port by port: the last one closes a burst."""
         if not self._queue:
             return
-        for (port, address), frames in self._queue.items():
+        for (port, address), frames in sorted(self._queue.items()):
             here, start, size = self.ports[port], 0, 0
             for k, whole in enumerate(frames):
                 if size and size + len(whole) > DATAGRAM_BYTES:
