@@ -20,6 +20,8 @@ from cablequad import lie
 from cablequad.state import State
 from cablequad.system import Cable, Payload, Quadrotor, System
 
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # hundreds of processes start here: what one compiles, all may load
+
 settings.register_profile("default", deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
 settings.load_profile("default")
 
