@@ -6,7 +6,7 @@ import json
 import os
 import signal
 import subprocess
-import sys
+import sysconfig
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -93,6 +93,9 @@ def _nothing_left_running() -> Iterator[None]:
     Command.started.clear()
 
 
+COMMAND = str(Path(sysconfig.get_path("scripts")) / "cablequad")
+
+
 class Command:
     """The `cablequad` command in a process of its own; killed at the end of the test that started it."""
 
@@ -101,7 +104,7 @@ class Command:
     def __init__(self, *arguments: str, cwd: Path | None = None) -> None:
         self.started.append(self)
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "missions.cli", *arguments],
+            [COMMAND, *arguments],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
