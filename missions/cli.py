@@ -2,8 +2,10 @@
 
 import json
 import math
+import signal
 import sys
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -290,11 +292,26 @@ def show(name: ScenarioArgument) -> None:
 
 def main() -> None:
     """Entry point of the `cablequad` command."""
+    interrupted: list[int] = []
+
+    def interrupt(number: int, _: FrameType | None) -> None:
+        interrupted.append(number)
+        raise KeyboardInterrupt
+
+    before = signal.getsignal(signal.SIGINT)
+    if before is signal.default_int_handler:  # whoever starts us may have us ignore it
+        signal.signal(signal.SIGINT, interrupt)
     try:
         app()
     except KeyboardInterrupt:
-        print("cablequad: interrupted", file=sys.stderr)
-        sys.exit(INTERRUPTED)
+        pass
+    except Exception:
+        if not interrupted:  # else a library that it met has made an error of its own of it
+            raise
+    finally:
+        signal.signal(signal.SIGINT, before)
+    print("cablequad: interrupted", file=sys.stderr)
+    sys.exit(INTERRUPTED)
 
 
 def _speed(text: str) -> float:

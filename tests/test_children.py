@@ -1,4 +1,4 @@
-"""Processes that a flight starts."""
+"""Ctrl-C before anything flies: while processes start, and while libraries load."""
 
 import signal
 import threading
@@ -7,7 +7,9 @@ from typing import Any, cast
 
 import pytest
 
+from missions import cli
 from missions.children import begin
+from missions.exits import INTERRUPTED
 
 
 def test_what_interrupts_the_start_of_a_process_waits_until_it_has_begun() -> None:
@@ -33,3 +35,30 @@ def test_what_interrupts_the_start_of_a_process_waits_until_it_has_begun() -> No
         begin(cast(Any, process))
     assert process.begun
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+@pytest.mark.parametrize("becomes", [KeyboardInterrupt, RuntimeError])
+def test_an_interrupt_is_one_whatever_a_library_makes_of_it(
+    becomes: type[BaseException], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def load() -> None:
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt as error:
+            raise becomes("while it loads") from error
+
+    monkeypatch.setattr(cli, "app", load)
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == INTERRUPTED
+    assert capsys.readouterr().err == "cablequad: interrupted\n"
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_what_fails_by_itself_is_no_interrupt(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail() -> None:
+        raise RuntimeError("of its own")
+
+    monkeypatch.setattr(cli, "app", fail)
+    with pytest.raises(RuntimeError, match="of its own"):
+        cli.main()
