@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bridge import watch
 from bridge.link import Endpoint, Link, LinkError
 from bridge.wire import generate
 from bridge.wire.attitudes import Attitudes
@@ -332,6 +333,28 @@ class TestLink:
         assert seqs == [0, 0, 1, 2, 1]
         link.close()
         assert address
+
+    def test_a_burst_goes_out_in_the_order_of_ports_whatever_was_queued_first(self) -> None:
+        """So that what closes it is the last to arrive."""
+        other = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        other.bind(("127.0.0.1", 0))
+        other.settimeout(1.0)
+        link = Link([Endpoint(None, other.getsockname())] * 3)
+        for port in (2, 0, 1):
+            link.put(port, port + 1, 1, encode(Heartbeat(2, 12, 1, 0, 3)))
+        link.flush()
+        assert [other.recv(100)[5] for _ in range(3)] == [1, 2, 3]
+        link.close()
+        other.close()
+
+    def test_a_system_without_epoll_is_served_as_well(self, offset: int, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(watch, "_EPOLL", None)
+        link, other, address = self.pair(offset)
+        assert link.poll(0.005) == []
+        other.sendto(frame(encode(Heartbeat(2, 12, 1, 0, 3)), 0, 7, 1), address)
+        assert [f.system for f in link.poll(0.5)] == [7]
+        link.close()
+        other.close()
 
     def test_frames_of_one_breath_share_a_datagram(self, offset: int) -> None:
         link, other, address = self.pair(offset)
