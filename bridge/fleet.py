@@ -5,6 +5,7 @@ it waits for is seen, and gives up after `GIVE_UP_S` with one line that names th
 judged by HEARTBEAT alone. Times are seconds of the vehicles' clock.
 """
 
+import math
 from typing import Any
 
 from bridge.profiles import NEEDED_STREAMS, PROFILES, STREAMS_US
@@ -302,6 +303,9 @@ class Fleet:
 
     def _parameter(self, v: Vehicle, value: ParamValue) -> None:
         number = value.value
+        if not math.isfinite(number):
+            v.refusal = f"parameter {value.name} is {number:g}"
+            return
         if value.name == "GUID_OPTIONS" and not int(number) & THRUST_NOT_CLIMB:
             if not self._configure:
                 self._fail(

@@ -9,14 +9,15 @@ from bridge.decide import Decider
 from bridge.faults import Channel
 from bridge.fleet import COMPONENT, SYSTEM, TRACKER, Fleet
 from bridge.gate import CLOSING, Gate
-from bridge.link import Address, Link, Received
+from bridge.link import Address, Link, Mishandled, Received
 from bridge.observe import Instant, Loop
 from bridge.relate import Related, Relation
+from bridge.sources import Sources
 from bridge.thrust import ThrustScale, made_thrust_N
 from bridge.vehicle import Request
 from bridge.wire.messages import encode
 from bridge.wire.setpoints import Setpoints, WireError
-from bridge.wire.values import Command, CommandAck, Imu, Origin, PayloadState, Timesync
+from bridge.wire.values import Command, CommandAck, Heartbeat, Imu, Origin, PayloadState, Timesync
 from cablequad.pilot import Sample
 
 PROCESS_ANYWAY_S = 0.5  # wall clock: frames that complete no state are acted on after this long all the same
@@ -43,6 +44,8 @@ class Timing(NamedTuple):
     thrust_scales: list[ThrustScale]  # of each vehicle: newtons made per newton asked
     predicted_ticks: int  # answered with a state that was not all measured
     unread: int = 0  # frames that had come in when the flight ended and nobody looked at
+    foreign: int = 0  # frames of others than the vehicles and the tracker, or under their ids from elsewhere
+    places: frozenset[tuple[int, Address]] = frozenset()  # ports and addresses that vehicles and tracker spoke from
 
 
 Channels = Mapping[int, Channel[Received]]  # by the system whose frames pass through
@@ -72,13 +75,15 @@ class _Flight:
 
     def __init__(
         self, link: Link, fleet: Fleet, decider: Decider, loop: Loop, record: Record, channels: Channels,
-        relation: Relation,
+        relation: Relation, places: Mapping[int, tuple[int, Address]],
     ) -> None:  # fmt: skip
         self.link, self.fleet, self.decider, self.record = link, fleet, decider, record
         self.loop, self.relation = loop, relation
         self.gate = Gate(fleet.n, TRACKER, loop.period_ms, loop.sensing)
         self.channels = channels
-        self.routes: dict[int, tuple[int, Address]] = {}
+        self.sources = Sources(fleet.n, places)
+        self.routes = self.sources.routes
+        self.mishandled = Mishandled()
         self.everyone = range(1, fleet.n + 1)
         self.pending: list[Received] = []
         self.heard: tuple[int, list[Received]] | None = None  # and when; not recorded yet, as nobody waits for that
@@ -111,17 +116,21 @@ class _Flight:
         if frames and not self.pending:
             self.pending_since = arrived
         tracked: int | None = None
+        heard = []
         for frame in frames:
-            if self.routes.get(frame.system) != (frame.port, frame.address):
-                self._route(frame)
+            if self.routes.get(frame.system) != (frame.port, frame.address) and not self._known(frame):
+                continue
+            heard.append(frame)
             kind = type(frame.value)
             if kind in CLOSING and frame.component == (1 if frame.system != TRACKER else COMPONENT):
                 self.gate.feed(frame.system, self.relation.mapped(frame.system, frame.value))
-            if kind is Timesync:
+            if kind is Heartbeat:
+                self.sources.heard(frame)
+            elif kind is Timesync:
                 self.related += self.relation.answered(frame.system, frame.value, arrived)
             elif kind is PayloadState and frame.system == TRACKER:
                 tracked = frame.value.boot_us
-        self.pending += frames
+        self.pending += heard
         boot_ms = self.gate.open()
         sample = None
         while boot_ms is not None:  # more than one where a tick was left open until the next began
@@ -151,14 +160,14 @@ class _Flight:
         if question is not None:
             self._send([Request(system, question) for system in sorted(self.routes)])
 
-    def _route(self, frame: Received) -> None:
-        known = self.routes.setdefault(frame.system, (frame.port, frame.address))
-        if known != (frame.port, frame.address) and frame.system <= self.fleet.n and frame.component == 1:
-            here = "{}:{}".format(*known[1])
-            there = "{}:{}".format(*frame.address)
-            self.fleet.failure = self.fleet.failure or (
-                f"two vehicles have system id {frame.system}: {here} and {there}; give each its own"
-            )
+    def _known(self, frame: Received) -> bool:
+        """Whether a frame from a new place is taken in; who speaks under a vehicle's id from elsewhere is not."""
+        taken = self.sources.take(frame)
+        if self.sources.rival and not self.fleet.flying:
+            self.fleet.failure = self.fleet.failure or self.sources.rival
+        if said := self.sources.said():
+            self.event("stranger", f"system {frame.system}", said)
+        return taken
 
     def _process(self) -> None:
         """Let the links' faults act, then feed everyone in an order that does not depend on which socket came first."""
@@ -176,20 +185,12 @@ class _Flight:
             frames = kept + [f for _, channel in sorted(self.channels.items()) for f in channel.take(self.now_us)]
         now = self.now_us * 1e-6
         for frame in frames:
-            system, value = frame.system, frame.value
-            if value is None:
-                continue
-            kind = type(value)
-            self.fleet.feed(system, frame.component, value, now)
-            if kind is Command and (value.system, value.component) == (SYSTEM, COMPONENT):
-                self._told(frame, value)
-            if frame.component == (1 if system != TRACKER else COMPONENT):
-                if kind is Origin:
-                    self.relation.learn(system, value)
-                value = self.relation.mapped(system, value)
-                self.decider.feed(system, value)
-                if kind is Imu and value is not None and self.fleet.flying and system <= self.fleet.n:
-                    self.felt.append((system - 1, value))
+            if frame.value is not None:
+                try:
+                    self._feed(frame, now)
+                except Exception as error:
+                    if text := self.mishandled.take(frame, error):
+                        self.event("mishandled", "controller", text)
         if frames:
             self.record_heard()
             self.heard = (self.now_us, frames)
@@ -201,6 +202,20 @@ class _Flight:
             self.event("release", "all", f"{what}: t = 0")
         for source, said in self.fleet.texts():
             self.event("statustext", f"vehicle {source}", said.text)
+
+    def _feed(self, frame: Received, now: float) -> None:
+        system, value = frame.system, frame.value
+        kind = type(value)
+        self.fleet.feed(system, frame.component, value, now)
+        if kind is Command and (value.system, value.component) == (SYSTEM, COMPONENT):
+            self._told(frame, value)
+        if frame.component == (1 if system != TRACKER else COMPONENT):
+            if kind is Origin:
+                self.relation.learn(system, value)
+            value = self.relation.mapped(system, value)
+            self.decider.feed(system, value)
+            if kind is Imu and value is not None and self.fleet.flying and system <= self.fleet.n:
+                self.felt.append((system - 1, value))
 
     def record_heard(self) -> None:
         """What came in stands in the log before anything that it led to."""
@@ -306,15 +321,17 @@ def fly(
     watch: Callable[[str, Sample | None], str | None],
     channels: Channels,
     relation: Relation,
+    places: Mapping[int, tuple[int, Address]] | None = None,
 ) -> tuple[Outcome, Timing]:
     """Bring the fleet up, fly what `decider` decides, leave every vehicle holding.
 
     Never raises for what vehicles or users do.
     `watch` is called after every decision with the phase and the sample (None while nothing is heard); what it returns
     ends the run with that reason. `channels` fail the frames of the systems they are for, `relation` maps what vehicles
-    say into the tracker's time and frame.
+    say into the tracker's time and frame. `places` says on which port and from where each system speaks, where that is
+    known beforehand.
     """
-    flight = _Flight(link, fleet, decider, loop, record, channels, relation)
+    flight = _Flight(link, fleet, decider, loop, record, channels, relation, places or {})
     begun = link.now()
     interrupted, completed, reason = False, False, ""
     try:
@@ -339,7 +356,10 @@ def fly(
     flight.event("end", "all", reason)
     _let_go(flight)
     flight.record_heard()
-    return Outcome(completed, interrupted, reason), timing._replace(unread=len(flight.pending))
+    timing = timing._replace(
+        unread=len(flight.pending), foreign=flight.sources.foreign, places=frozenset(flight.routes.values())
+    )
+    return Outcome(completed, interrupted, reason), timing
 
 
 def _let_go(flight: _Flight) -> None:

@@ -15,10 +15,11 @@ from bridge.wire.frames import SIGNED, Packed, Signer, Verdict, checksum, frame,
 from bridge.wire.messages import KINDS
 from bridge.wire.sheets import Sheet
 
-__all__ = ["Address", "Counters", "Endpoint", "Link", "LinkError", "Received"]
+__all__ = ["Address", "Counters", "Endpoint", "Link", "LinkError", "Mishandled", "Received"]
 
 GRACE_S = 0.002
 DATAGRAM_BYTES = 1400  # fits every network
+SENDERS_KEPT = 4096  # whose sequence numbers are remembered
 MOST_ROUNDS = 512  # a flood must not keep the loop from its own work
 
 
@@ -45,9 +46,30 @@ class Counters:
         self.received_on = [0] * ports
         self.unsent = 0  # that the system did not take
         self.received = 0
-        self.lost = 0  # by gaps in sequence numbers
-        self.bad = 0  # that did not parse, failed their checksum or made no sense
-        self.refused = dict.fromkeys((Verdict.UNSIGNED, Verdict.WRONG, Verdict.REPLAYED), 0)  # by their signature
+        self.lost_from: dict[tuple[int, Address], int] = {}  # by gaps in sequence numbers, by port and sender
+        self.bad = 0  # that did not parse or failed their checksum
+        self.unknown = 0  # of a kind that the dialect does not have
+        self.meaningless = 0  # whole, but with fields that nothing can be made of; they count as received too
+        self.refused = dict.fromkeys(Verdict, 0)  # by their signature
+        del self.refused[Verdict.GOOD]
+
+
+class Mishandled:
+    """The last line of defence: a frame whose handler failed costs itself alone; counted, and told once a kind."""
+
+    def __init__(self) -> None:
+        self.counts: dict[str, int] = {}  # by the message's name
+
+    def take(self, frame: Received, error: Exception) -> str | None:
+        """Count it; what to tell of it, the first time."""
+        first = frame.name not in self.counts
+        self.counts[frame.name] = self.counts.get(frame.name, 0) + 1
+        if not first:
+            return None
+        return (
+            f"{frame.name} of {frame.system}/{frame.component} could not be handled and is left out "
+            f"({type(error).__name__}: {error}); this is a fault of cablequad, please report it"
+        )
 
 
 class Link:
@@ -59,7 +81,7 @@ class Link:
         self.signer = signer
         self._watch = Watch()
         self._next_seq: dict[int, int] = {}  # by port, system and component
-        self._last_seq: dict[int, int] = {}
+        self._last_seq: dict[tuple[int, Address], int] = {}
         self._queue: dict[tuple[int, Address], list[bytes]] = {}
         try:
             for index, endpoint in enumerate(endpoints):
@@ -203,7 +225,10 @@ class Link:
                 continue
             kind = KINDS.get(msgid)
             if last > end or flags & ~1 or kind is None:
-                counters.bad += 1
+                if kind is None and last <= end and not flags & ~1:
+                    counters.unknown += 1
+                else:
+                    counters.bad += 1
                 at = last if last <= end else at + 1
                 continue
             name, crc_extra, read = kind
@@ -219,10 +244,9 @@ class Link:
             if read is not None:
                 try:
                     value = read(payload)
-                except (ValueError, ArithmeticError):
-                    counters.bad += 1
-                    continue
-            self._count(port, system, component, seq)
+                except Exception:  # whatever a stranger put into its fields, it costs this frame alone
+                    counters.meaningless += 1
+            self._count(port, address, system, component, seq)
             out.append(Received(port, address, system, component, seq, msgid, name, whole, value))
         return out
 
@@ -235,13 +259,16 @@ class Link:
         self.counters.refused[verdict] += 1
         return False
 
-    def _count(self, port: int, system: int, component: int, seq: int) -> None:
-        key = port << 16 | system << 8 | component
+    def _count(self, port: int, address: Address, system: int, component: int, seq: int) -> None:
+        key = (port << 16 | system << 8 | component, address)  # who else sends under this id has numbers of its own
         last = self._last_seq.get(key)
         if last is not None:
             gap = (seq - last - 1) & 255
-            if gap < 128:  # more means an old frame that came late
-                self.counters.lost += gap
+            if 0 < gap < 128:  # more means an old frame that came late
+                lost = self.counters.lost_from
+                lost[port, address] = lost.get((port, address), 0) + gap
+        elif len(self._last_seq) >= SENDERS_KEPT:
+            del self._last_seq[next(iter(self._last_seq))]
         self._last_seq[key] = seq
         self.counters.received += 1
         self.counters.received_on[port] += 1

@@ -18,7 +18,7 @@ import numpy as np
 from bridge.faults import Channel, Tally, generator
 from bridge.fleet import TRACKER
 from bridge.fly import Outcome, Timing, fly
-from bridge.link import Endpoint, Link, LinkError, Received
+from bridge.link import Address, Endpoint, Link, LinkError, Received
 from bridge.phases import CARRIED, FLY
 from bridge.ports import TRACKER_PORTS, vehicle_ports
 from bridge.relate import Relation
@@ -174,6 +174,7 @@ def _run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary,
                 outcome, timing = _fly(
                     flight, prepared, link, watch, simulator, interrupted, progress, patience,
                     external or bool(options.connect), lambda: None if autopilots is None else autopilots.ended(),
+                    options.port_offset,
                 )  # fmt: skip
         if simulator is not None:
             simulator.stop()
@@ -185,16 +186,17 @@ def _run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary,
         missed = 0
         if simulator is not None and simulator.report is not None:
             missed = simulator.report.missed_deadlines + simulator.report.missed_answers
+        lost = sum(link.counters.lost_from.get(place, 0) for place in timing.places)
         mission = prepared.mission
         grounded, mark = judged.grounded, None
         if mission is not None:
             grounded, mark = grounded or felt(mission), mission.mark
         summary = summarize(
             flight.scenario.name, flight.scenario.acceptance, watch.track, outcome, timing,
-            link.counters.sent, link.counters.lost, missed, n, judged.followed, grounded, mark,
+            link.counters.sent, lost, missed, n, judged.followed, grounded, mark,
             flight.script is not None,
         )  # fmt: skip
-        wire = _wire(link, simulator, watch.tallies, timing.unread)
+        wire = _wire(link, simulator, watch.tallies, timing.unread, timing.foreign)
         taken = wire["down_lost"] + wire.get("up_lost", 0)
         summary = summary._replace(wire=wire, messages_lost=summary.messages_lost + taken)
         path = scribe.finish({k: json.dumps(v) for k, v in summary._asdict().items() if k not in ("log", "replay")})
@@ -234,13 +236,13 @@ def _track(flight: Flight) -> Track:
     return Track(tuple(flight.scenario.target.position_m))
 
 
-def _wire(link: Link, simulator: Simulator | None, tallies: list[Tally], unread: int) -> dict[str, int]:
+def _wire(link: Link, simulator: Simulator | None, tallies: list[Tally], unread: int, foreign: int) -> dict[str, int]:
     """Frames on the wire, counted on both sides: down from the vehicles, up to them.
 
     sent = received; and with what [faults] doubled, that is what passed, was lost or still waits to be read.
     """
     down = {
-        "down_received": link.counters.received,
+        "down_received": link.counters.received - foreign,
         "down_passed": sum(t.passed for t in tallies),
         "down_lost": sum(t.lost for t in tallies),
         "down_duplicated": sum(t.duplicated for t in tallies),
@@ -270,6 +272,7 @@ def _fly(
     connect_timeout_s: float,
     asks: bool,
     ended: Callable[[], str | None],
+    port_offset: int,
 ) -> tuple[Outcome, Timing]:
     """`asks`: vehicles may have clocks of their own. `ended` says which autopilot of ours has ended by itself."""
     s = flight.scenario
@@ -302,8 +305,9 @@ def _fly(
 
     relation = Relation(fleet.n, TRACKER, asks)
     outcome, timing = fly(
-        link, fleet, prepared.decider, prepared.loop, watch, connect_timeout_s, look, channels, relation
-    )
+        link, fleet, prepared.decider, prepared.loop, watch, connect_timeout_s, look, channels, relation,
+        {} if asks else _places(fleet.n, port_offset),
+    )  # fmt: skip
     if mission is not None:
         mission.close()
     watch.tallies = [channel.tally for channel in channels.values()]
@@ -315,6 +319,13 @@ def _endpoints(n: int, options: Options) -> list[Endpoint]:
         return list(options.connect)
     ports = [*(vehicle_ports(i)[0] for i in range(n)), TRACKER_PORTS[0]]
     return [Endpoint((HOST, port + options.port_offset), None) for port in ports]
+
+
+def _places(n: int, port_offset: int) -> dict[int, tuple[int, Address]]:
+    """On which of our ports, and from where, our own vehicles and their tracker speak."""
+    ports = [*(vehicle_ports(i)[1] for i in range(n)), TRACKER_PORTS[1]]
+    systems = [*range(1, n + 1), TRACKER]
+    return {who: (k, (HOST, port + port_offset)) for k, (who, port) in enumerate(zip(systems, ports, strict=True))}
 
 
 def _warm_up(design: Design, flight: Flight) -> None:

@@ -66,9 +66,10 @@ def serve(flight: Flight, serving: Serving, launch: Path | None = None) -> None:
         server.close()
         if autopilots is not None:
             autopilots.stop()
-    if report.bad or any(report.refused.values()):
-        refused = ", ".join(f"{count} {why}" for why, count in report.refused.items())
-        console.print(f"frames refused: {report.bad} damaged, {refused}")
+    if refused := ", ".join(f"{count} {why}" for why, count in report.refused.items() if count):
+        console.print(f"frames left out: {refused}")
+    if failed := ", ".join(f"{count} {name}" for name, count in report.mishandled.items()):
+        console.print(f"frames that could not be handled: {failed}")
     late = sorted(report.lateness_s)
     if late:
         p50, p99 = late[len(late) // 2], late[min(len(late) - 1, len(late) * 99 // 100)]

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from bridge.faults import Channel, Faults, generator
-from bridge.link import Address, Link, Received
+from bridge.link import Address, Link, Mishandled, Received
 from bridge.wire.attitudes import Attitudes
 from bridge.wire.frames import Packed, Signer
 from bridge.wire.messages import encode
@@ -27,7 +27,7 @@ from sitl.firmware.navigate import attitude
 from sitl.firmware.px4 import Px4
 from sitl.places import places, tracker_endpoints
 from sitl.plant import LoosePlant, Plant, Truth
-from sitl.settings import Event, Report, Settings, Sink, plant_of, sensors_of
+from sitl.settings import Event, Report, Settings, Sink, plant_of, sensors_of, unread_frames
 
 CONTROLLER = (250, 191)  # whose setpoints may hold the clock
 PERSONAS: dict[str, type[Px4] | type[ArduCopter]] = {"px4": Px4, "arducopter": ArduCopter}
@@ -63,6 +63,7 @@ class Server:
             for i, f in enumerate(s.faults_down[:n])
         ] or [None] * n
         self._sink = sink
+        self._mishandled = Mishandled()
         self._broken = Broken(s.failures, n)
         self._tick = 0
         self._inbox: list[list[tuple[int, Received]]] = [[] for _ in range(self.n)]
@@ -111,8 +112,7 @@ class Server:
             self._tick, self._missed_answers, self._missed_deadlines, tuple(self._lateness),
             sum(counters.sent_on[k] for k in (*onboard, *tracker_port)), sum(counters.received_on[k] for k in onboard),
             sum(t.passed for t in tallies), sum(t.lost for t in tallies), sum(t.duplicated for t in tallies),
-            sum(t.waiting for t in tallies) + unread, counters.bad,
-            {verdict.value: count for verdict, count in counters.refused.items()},
+            sum(t.waiting for t in tallies) + unread, unread_frames(counters), self._mishandled.counts,
         )  # fmt: skip
 
     def close(self) -> None:
@@ -221,7 +221,11 @@ class Server:
                 self._hand(i, vehicle, frame, now)
 
     def _hand(self, i: int, vehicle: Autopilot, frame: Received, now: int) -> None:
-        vehicle.handle(self._ports[i].index(frame.port), frame.system, frame.component, frame.value, now)
+        try:
+            vehicle.handle(self._ports[i].index(frame.port), frame.system, frame.component, frame.value, now)
+        except Exception as error:
+            if text := self._mishandled.take(frame, error):
+                self._sink(Event(now, "mishandled", f"vehicle {i + 1}", text))
 
     def _settle(self, now: int) -> None:
         """Release, land, go back to the start. A release is told with the state that it begins from."""

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from bridge.faults import Faults
+from bridge.link import Counters
 from bridge.wire.earth import Home
 from cablequad.attitude import Airframe
 from cablequad.noise import Biases, Noise
@@ -84,8 +85,18 @@ class Report(NamedTuple):
     lost: int  # of those received, and taken by [faults]
     duplicated: int
     waiting: int
-    bad: int  # frames on any port that did not parse or made no sense
-    refused: dict[str, int]  # frames on any port, by what was wrong with their signature
+    refused: dict[str, int]  # frames on any port that nothing was made of, by what was wrong with them
+    mishandled: dict[str, int]  # frames whose handler failed, by their message
+
+
+def unread_frames(counters: Counters) -> dict[str, int]:
+    """What a link made nothing of, by what was wrong with it."""
+    unread = {
+        "damaged": counters.bad,
+        "of an unknown kind": counters.unknown,
+        "with fields that make no sense": counters.meaningless,
+    }
+    return unread | {verdict.value: count for verdict, count in counters.refused.items()}
 
 
 Sink = Callable[[Truth | Event], None]

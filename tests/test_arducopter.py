@@ -1,6 +1,7 @@
 """The ArduCopter persona: one table a behaviour, against messages and a clock that the test turns."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from hypothesis import strategies as st
 from workbench import BODY, LEVEL, LINKS, ROLLED, ROLLED_QUAT, TICK, Bench, target
 
 from bridge.thrust import LinearShare
+from bridge.wire.earth import Home, geodetic
 from bridge.wire.values import (
     IN_AIR,
     CommandAck,
@@ -17,6 +19,7 @@ from bridge.wire.values import (
     ParamRequestRead,
     ParamSet,
     ParamValue,
+    PositionTarget,
     ServerVersion,
     SetMode,
     Timesync,
@@ -357,10 +360,10 @@ class TestStreams:
         b.tick(300)
         assert b.count(32) == pytest.approx(10, abs=1)
 
-    def test_capabilities_are_those_of_4_7(self) -> None:
+    def test_it_claims_no_more_than_exists(self) -> None:
         b = bench()
         assert b.command(512, 148) == [0]
-        assert ServerVersion(0xFBEF, (4, 7, 0), 1) in b.heard
+        assert ServerVersion(0x20CA, (4, 7, 0), 1) in b.heard
         assert b.command(512, 9999) == [4]
         assert b.command(31000) == [3]
 
@@ -406,3 +409,69 @@ def test_a_level_setpoint_holds_no_height_in_thrust_mode() -> None:
     b = flying()
     b.tick(1, target(quat_wxyz=LEVEL, thrust=0.2))
     assert b.act.throttle**2 == pytest.approx(0.2, rel=1e-9)
+
+
+class TestPositionTargets:
+    """SET_POSITION_TARGET_LOCAL_NED and DO_REPOSITION, as GUIDED takes them."""
+
+    def up(self) -> Bench:
+        b = bench()
+        b.command(176, 1, GUIDED)
+        b.command(400, 1)
+        b.command(22, 0, 0, 0, 0, 0, 0, 3.0)
+        b.drive(8.0)
+        return b
+
+    def target(self, **changes: Any) -> PositionTarget:
+        none = (0.0, 0.0, 0.0)
+        return PositionTarget(0, 1, 1, 1, 0xDF8, none, none, none, 0.0, 0.0)._replace(**changes)
+
+    def test_one_place_is_enough_and_has_no_time_out(self) -> None:
+        b = self.up()
+        start = b.point.x.copy()
+        b.send(self.target(x=tuple((start + np.array([2.0, -1.0, -1.0])).tolist())))
+        b.drive(10.0)
+        assert np.linalg.norm(b.point.x - start - (2.0, -1.0, -1.0)) < 0.1
+
+    def test_an_offset_counts_from_where_it_was_and_a_body_offset_from_its_nose(self) -> None:
+        b = self.up()
+        start = b.point.x.copy()
+        b.send(self.target(frame=7, x=(1.0, 0.0, 0.0)))
+        b.drive(6.0)
+        assert np.linalg.norm(b.point.x - start - (1.0, 0.0, 0.0)) < 0.1
+        b.R = lie.exp(np.array([0.0, 0.0, math.pi / 2]))
+        b.tick()
+        b.send(self.target(frame=9, x=(1.0, 0.0, 0.0)))
+        b.drive(6.0)
+        assert np.linalg.norm(b.point.x - start - (1.0, 1.0, 0.0)) < 0.15
+
+    def test_a_velocity_ends_after_guid_timeout(self) -> None:
+        b = self.up()
+        b.send(self.target(type_mask=0xDC7, v=(1.0, 0.0, 0.0)))
+        b.drive(2.5)
+        assert b.point.v[0] == pytest.approx(1.0, abs=0.1)
+        b.drive(4.0)
+        assert abs(b.point.v[0]) < 0.1
+        assert any("no velocity target" in text for text in b.texts())
+
+    @pytest.mark.parametrize(
+        "change", [{"frame": 0}, {"type_mask": 0xFFF}, {"x": (math.nan, 0.0, 0.0)}, {"x": (1e30, 0.0, 0.0)}]
+    )
+    def test_what_makes_no_sense_stops_it(self, change: dict[str, Any]) -> None:
+        b = self.up()
+        start = b.point.x.copy()
+        b.send(self.target(**change))
+        b.drive(3.0)
+        assert np.linalg.norm(b.point.x - start) < 0.1
+        assert b.vehicle.mode_name == "GUIDED"
+
+    def test_do_reposition_changes_into_guided_only_where_it_says_so(self) -> None:
+        b = self.up()
+        b.command(176, 1, LOITER)
+        start = b.point.x.copy()
+        lat, lon, altitude = geodetic(Home(), start + np.array([2.0, 0.0, -1.0]))
+        assert b.command(192, -1, 0, 0, 0, lat, lon, altitude) == [2]
+        assert b.command(192, -1, 1, 0, 0, lat, lon, altitude) == [0]
+        b.drive(8.0)
+        assert b.vehicle.mode_name == "GUIDED"
+        assert np.linalg.norm(b.point.x - start - (2.0, 0.0, -1.0)) < 0.1

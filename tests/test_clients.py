@@ -51,7 +51,10 @@ def flown_by(script: str, tmp_path: Path, persona: str, offset: int, *more: str)
 
 def test_mavsdk_sees_flies_and_lands_them(tmp_path: Path, persona: str, offset: int) -> None:
     out = flown_by("with_mavsdk.py", tmp_path, persona, offset)
-    for step in ("four autopilots", "roll 12", "goes east_m", "goes north_m", "landed and disarmed", "done"):
+    for step in (
+        "four autopilots", "roll 12", "goes east_m", "goes north_m", "offboard by position", "offboard by velocity",
+        "goto climbs", "landed and disarmed", "done",
+    ):  # fmt: skip
         assert step in out, out
 
 

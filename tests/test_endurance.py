@@ -4,6 +4,7 @@ from typing import Any
 
 from fuzz import a_server, fuzz, hear, in_flight, state
 from soak import soak
+from strangers import strangers
 
 from bridge.wire.frames import frame
 from bridge.wire.messages import encode
@@ -46,3 +47,16 @@ def test_a_minute_under_five_percent_loss_loses_nothing_else(offset: int) -> Non
     assert figures["down_lost"] > 1000
     assert figures["predicted_ticks"] > 1000
     assert figures["final_position_error_m"] < 0.01
+
+
+def test_a_flight_among_strangers_who_send_every_kind_of_message_decides_the_same(offset: int) -> None:
+    """Every message of the dialect and of others', from every kind of sender, to every port; bit for bit the same."""
+    figures = strangers(0.25, offset)
+    assert figures["kinds"] > 350
+    assert figures["decisions_compared"] > 3000
+
+
+def test_a_mission_of_arducopters_among_strangers_decides_the_same(offset: int) -> None:
+    figures = strangers(0.0, offset, 2, "ground-to-ground", "--firmware", "arducopter")
+    assert figures["kinds"] > 350
+    assert figures["decisions_compared"] > 2500

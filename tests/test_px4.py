@@ -1,6 +1,7 @@
 """The PX4 persona: one table a behaviour, against messages and a clock that the test turns."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from workbench import BODY, LINKS, ROLLED, ROLLED_QUAT, TICK, Bench, target
 
 from bridge.thrust import MotorCommand
 from bridge.wire.dialect import mavlink
+from bridge.wire.earth import Home, geodetic
 from bridge.wire.messages import param_bits, param_int
 from bridge.wire.values import (
     IN_AIR,
@@ -28,10 +30,12 @@ from bridge.wire.values import (
     ParamSet,
     ParamValue,
     Ping,
+    PositionTarget,
     ServerVersion,
     SetMode,
     Timesync,
 )
+from cablequad import lie
 from sitl.firmware.px4 import Px4
 
 OFFBOARD, LOITER, POSCTL = 6 << 16, 4 << 16 | 3 << 24, 3 << 16
@@ -313,7 +317,7 @@ def test_services_answer() -> None:
     b.tick()
     assert any(isinstance(h, Timesync) and h.ts1 == 78 and h.tc1 > 0 for h in b.heard)
     b.command(512, 148)
-    assert any(isinstance(h, ServerVersion) and h.capabilities == 0xE8FF for h in b.heard)
+    assert any(isinstance(h, ServerVersion) and h.capabilities == 0x20DA for h in b.heard)
     assert b.command(512, 242) == [0]
     assert b.command(512, 9999) == [2]
     assert mavlink.MAV_CMD_REQUEST_MESSAGE == 512
@@ -468,3 +472,78 @@ def test_attitude_target_shows_the_setpoint_and_the_size_of_its_thrust() -> None
     assert (rates.any(), thrust) == (False, 0.6)
     b.tick(1, target(thrust=-0.4))
     assert b.snapshot().offboard_target[2] == 0.4
+
+
+PLACE, VELOCITY = 0xDF8, 0xDC7  # type masks that leave a place, or a velocity
+
+
+def position_target(**changes: Any) -> PositionTarget:
+    none = (0.0, 0.0, 0.0)
+    return PositionTarget(0, 1, 1, 1, PLACE, none, none, none, 0.0, 0.0)._replace(**changes)
+
+
+def streamed(b: Bench, value: PositionTarget, seconds: float) -> None:
+    """Fly by a stream of ten targets a second."""
+    for _ in range(round(10 * seconds)):
+        b.send(value)
+        b.drive(0.1)
+
+
+def in_offboard_at_altitude() -> Bench:
+    b = bench()
+    b.command(400, 1)
+    b.command(22)
+    b.drive(8.0)
+    b.send(position_target(x=tuple(b.point.x.tolist())))
+    assert b.command(176, 1, 6) == [0, 0]
+    return b
+
+
+def test_offboard_by_position_flies_there_and_turns_the_nose() -> None:
+    b = in_offboard_at_altitude()
+    start = b.point.x.copy()
+    streamed(b, position_target(x=(start[0] + 3.0, start[1] - 2.0, start[2] - 1.0), yaw=1.0, type_mask=0x9F8), 8.0)
+    assert np.linalg.norm(b.point.x - start - (3.0, -2.0, -1.0)) < 0.1  # measured 0.002
+    assert math.atan2(b.R[1, 0], b.R[0, 0]) == pytest.approx(1.0, abs=0.02)
+
+
+def test_offboard_by_velocity_holds_the_axes_that_have_a_place() -> None:
+    b = in_offboard_at_altitude()
+    height = float(b.point.x[2])
+    mask = 0xDC7 & ~4 | 32  # x and y by velocity, z by place
+    streamed(b, position_target(type_mask=mask, x=(0.0, 0.0, height), v=(1.0, 0.0, 9.0)), 6.0)
+    assert b.point.v[0] == pytest.approx(1.0, abs=0.05)
+    assert float(b.point.x[2]) == pytest.approx(height, abs=0.1)
+
+
+def test_body_velocities_turn_with_the_nose_and_unknown_frames_are_told() -> None:
+    b = in_offboard_at_altitude()
+    b.R = lie.exp(np.array([0.0, 0.0, math.pi / 2]))
+    streamed(b, position_target(frame=8, type_mask=VELOCITY, v=(1.0, 0.0, 0.0)), 4.0)
+    assert b.point.v[1] == pytest.approx(1.0, abs=0.05)  # forward is east
+    b.heard.clear()
+    b.send(position_target(frame=0))
+    b.tick()
+    assert any("coordinate frame 0 unsupported" in text for text in b.texts())
+
+
+def test_a_stream_of_positions_that_ends_is_a_lost_offboard_signal() -> None:
+    b = in_offboard_at_altitude()
+    b.drive(1.5)
+    assert b.vehicle.mode.custom == POSCTL
+
+
+def test_do_reposition_goes_into_hold_and_there() -> None:
+    b = bench()
+    b.command(400, 1)
+    b.command(22)
+    b.drive(8.0)
+    start = b.point.x.copy()
+    home = Home()
+    lat, lon, altitude = geodetic(home, start + np.array([2.0, 1.0, -1.0]))
+    assert b.command(192, -1, 0, 0, math.nan, lat, lon, altitude) == [3]  # without leave to change the mode
+    assert b.command(192, -1, 1, 0, math.nan, 91.0, lon, altitude) == [2]
+    assert b.command(192, -1, 1, 0, math.nan, lat, lon, altitude) == [0]
+    b.drive(8.0)
+    assert b.vehicle.mode.custom == LOITER
+    assert np.linalg.norm(b.point.x - start - (2.0, 1.0, -1.0)) < 0.1

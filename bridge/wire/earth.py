@@ -37,8 +37,8 @@ def local(home: Home, latitude_deg: float, longitude_deg: float, altitude_m: flo
 
 
 def pressure_hPa(altitude_m: float) -> float:
-    """At an altitude above sea level, in the standard atmosphere."""
-    return float(SEA_LEVEL_HPA * (1.0 - LAPSE * altitude_m) ** POWER)
+    """At an altitude above sea level, in the standard atmosphere; none where that ends, at 44 km."""
+    return float(SEA_LEVEL_HPA * max(0.0, 1.0 - LAPSE * altitude_m) ** POWER)
 
 
 def altitude_m(pressure: float) -> float:

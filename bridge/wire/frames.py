@@ -5,6 +5,9 @@ signature is checked before anything that came with it is believed, its time sta
 """
 
 import hashlib
+import math
+import re
+import struct
 from collections.abc import Callable
 from enum import Enum
 from functools import cache
@@ -18,6 +21,7 @@ from bridge.wire.dialect import Kind, mavlink
 checksum: Callable[[bytes], int] = fastcrc.crc16.mcrf4xx
 SIGNATURE_BYTES = 13
 SIGNED = 1  # the one incompatibility flag there is
+LARGEST_SINGLE = 3.4028234663852886e38  # what a float field holds
 FIRST_STAMP_AGE = 6_000_000  # 10 us: the first signed frame of a stream may be a minute old
 SIGNING_EPOCH_S = 1_420_070_400  # 2015-01-01, where signing time stamps begin
 
@@ -32,8 +36,38 @@ class Packed(NamedTuple):
 
 
 def pack(kind: Kind, *fields: Any) -> Packed:
-    """`fields` in wire order, arrays flat, as a message of the class `kind`."""
-    return Packed(kind.id, kind.msgname, kind.crc_extra, kind.unpacker.pack(*fields).rstrip(b"\0") or b"\0")
+    """`fields` in wire order, arrays flat, as a message of the class `kind`; what a field cannot hold saturates."""
+    try:
+        payload = kind.unpacker.pack(*fields)
+    except (struct.error, OverflowError):
+        payload = kind.unpacker.pack(*map(_saturated, codes(kind), fields))
+    return Packed(kind.id, kind.msgname, kind.crc_extra, payload.rstrip(b"\0") or b"\0")
+
+
+@cache
+def codes(kind: Kind) -> tuple[str, ...]:
+    """The struct code of every value that `kind` packs, in wire order."""
+    out: list[str] = []
+    for count, code in re.findall(r"(\d*)([a-zA-Z])", kind.unpacker.format):
+        out += ["s"] if code == "s" else [code] * int(count or 1)
+    return tuple(out)
+
+
+def bounds(code: str) -> tuple[int, int]:
+    """The smallest and the largest number that an integer field of this struct code holds."""
+    bits = 8 * struct.calcsize(f"<{code}")
+    return (0, 2**bits - 1) if code.isupper() else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
+
+
+def _saturated(code: str, value: Any) -> Any:
+    if code in "sc":
+        return value
+    if code == "f":
+        return math.copysign(math.inf, value) if abs(value) > LARGEST_SINGLE else value
+    if code == "d":
+        return value
+    low, high = bounds(code)
+    return min(max(int(value), low), high)
 
 
 def packed(kind: Kind, *fields: Any) -> Packed:
@@ -103,6 +137,7 @@ class Verdict(Enum):
     GOOD = "signed"
     UNSIGNED = "unsigned"
     WRONG = "wrongly signed"
+    STALE = "signed with a clock that is more than a minute behind"
     REPLAYED = "replayed"
 
 
@@ -138,7 +173,10 @@ class Signer:
             return Verdict.WRONG
         stream = (frame[5], frame[6], frame[-13])
         stamp = int.from_bytes(frame[-12:-6], "little")
-        if stamp <= self._seen.get(stream, self.stamp - FIRST_STAMP_AGE):
+        newest = self._seen.get(stream)
+        if newest is None and stamp <= self.stamp - FIRST_STAMP_AGE:
+            return Verdict.STALE
+        if newest is not None and stamp <= newest:
             return Verdict.REPLAYED
         self._seen[stream] = stamp
         return Verdict.GOOD

@@ -2,7 +2,7 @@
 
 import math
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -33,10 +33,12 @@ from bridge.wire.values import (
     ParamValue,
     PayloadState,
     Ping,
+    PositionTarget,
     ServerVersion,
     SetMode,
     StatusText,
     Timesync,
+    Value,
     VehicleAttitude,
     VehiclePosition,
 )
@@ -45,6 +47,7 @@ from cablequad.types import Array
 
 TEXT_BYTES = 50
 LINKS_PER_FRAME = 10  # of CABLE_STATE
+NO_ATTITUDE = 1e-6  # q.q of a quaternion that says nothing
 
 _NO_COVARIANCES = 2 * struct.pack("<21f", math.nan, *[0.0] * 20)
 _ODOMETRY_POSE = struct.Struct("<Q13f")  # before them
@@ -54,6 +57,7 @@ _ODOMETRY = mavlink.MAVLink_odometry_message
 _TARGET = mavlink.MAVLink_set_attitude_target_message
 _IMU = mavlink.MAVLink_highres_imu_message
 _FLOAT: Any = np.dtype("<f4")
+_SEVEN = struct.Struct("<7f")
 _CABLE_HEAD = struct.Struct("<QfBBB")  # before the links
 _ODOMETRY_FRAME = struct.calcsize("<Q55f")  # where its frame_id stands, behind the numbers
 
@@ -98,7 +102,22 @@ def _attitude(v: VehicleAttitude) -> Packed:
     return attitude(v.boot_ms, numbers[:4], numbers[4:])
 
 
+def _finite(numbers: Iterable[float]) -> None:
+    """Raise ValueError where a measurement is none: nothing can be made of a NaN."""
+    if not math.isfinite(sum(numbers)):
+        raise ValueError("not finite")
+
+
+def _turns(w: float, x: float, y: float, z: float) -> None:
+    """Raise ValueError for a quaternion that is no attitude."""
+    if w * w + x * x + y * y + z * z < NO_ATTITUDE:
+        raise ValueError("a quaternion of length 0")
+
+
 def _read_attitude(p: bytes) -> VehicleAttitude:
+    w, x, y, z, *rates = _SEVEN.unpack_from(p, 4)
+    _finite((w, x, y, z, *rates))
+    _turns(w, x, y, z)
     return VehicleAttitude(_whole(p, 4), np.frombuffer(p, _FLOAT, 7, 4))
 
 
@@ -108,6 +127,7 @@ def _position(v: VehiclePosition) -> Packed:
 
 def _read_position(p: bytes) -> VehiclePosition:
     a = _floats(p, 4, 6)
+    _finite(a.tolist())
     return VehiclePosition(_whole(p, 4), a[:3], a[3:])
 
 
@@ -127,6 +147,8 @@ def _read_payload(p: bytes) -> PayloadState | None:
     if p[_ODOMETRY_FRAME] != mavlink.MAV_FRAME_LOCAL_NED:
         return None
     a = _floats(p, 8, 13)
+    _finite(a.tolist())
+    _turns(*a[3:7].tolist())
     R0 = lie.rotation_from_quat(a[3:7])
     return PayloadState(_whole(p, 8), a[:3], R0 @ a[7:10], R0, a[10:])
 
@@ -141,6 +163,7 @@ def _read_cable(p: bytes) -> CableShape:
     boot_us, tension, cable, n_links, first = _CABLE_HEAD.unpack_from(p)
     k = max(0, min(LINKS_PER_FRAME, n_links - first))
     links = np.frombuffer(p, _FLOAT, 6 * k, _CABLE_HEAD.size).reshape(k, 6)
+    _finite((tension, *memoryview(p)[_CABLE_HEAD.size : _CABLE_HEAD.size + 24 * k].cast("f")))
     return CableShape(boot_us, cable, n_links, first, tension, links)
 
 
@@ -305,13 +328,28 @@ def _read_mission_ack(m: Any) -> MissionAck:
 
 
 def _read_command_int(m: Any) -> Command:
-    place = (m.x * 1e-7, m.y * 1e-7) if m.frame in _GLOBAL_FRAMES else (m.x * 1e-4, m.y * 1e-4)
-    return Command(
-        m.target_system, m.target_component, m.command, (m.param1, m.param2, m.param3, m.param4, *place, m.z)
+    unit = 1e-7 if m.frame in GLOBAL_FRAMES else 1e-4
+    x, y = (math.nan if place == _NO_PLACE else place * unit for place in (m.x, m.y))
+    params = (m.param1, m.param2, m.param3, m.param4, x, y, m.z)
+    return Command(m.target_system, m.target_component, m.command, params, 0, m.frame)
+
+
+def _position_target(v: PositionTarget) -> Packed:
+    return packed(
+        mavlink.MAVLink_set_position_target_local_ned_message,
+        *(v.boot_ms, v.system, v.component, v.frame, v.type_mask, *v.x, *v.v, *v.a, v.yaw, v.yaw_rate),
     )
 
 
-_GLOBAL_FRAMES = frozenset({0, 3, 5, 6, 10, 11})  # MAV_FRAME_GLOBAL and its kin
+def _read_position_target(m: Any) -> PositionTarget:
+    return PositionTarget(
+        m.time_boot_ms, m.target_system, m.target_component, m.coordinate_frame, m.type_mask, (m.x, m.y, m.z),
+        (m.vx, m.vy, m.vz), (m.afx, m.afy, m.afz), m.yaw, m.yaw_rate,
+    )  # fmt: skip
+
+
+GLOBAL_FRAMES = frozenset({0, 3, 5, 6, 10, 11})  # MAV_FRAME_GLOBAL and its kin
+_NO_PLACE = 2**31 - 1  # of a COMMAND_INT: not given
 _NAK, _FTP_BYTES = 129, 251
 
 
@@ -341,7 +379,9 @@ def _read_data_stream(m: Any) -> DataStream:
 
 
 def _read_imu(p: bytes) -> Imu:
-    return Imu(_whole(p, 8), _floats(p, 8, 3))
+    force = _floats(p, 8, 3)
+    _finite(force.tolist())
+    return Imu(_whole(p, 8), force)
 
 
 def _version(v: ServerVersion) -> Packed:
@@ -375,6 +415,7 @@ _PAIRS: list[tuple[type, int, Callable[[Any], Packed], Callable[[Any], Any]]] = 
     (MissionRequestList, mavlink.MAVLINK_MSG_ID_MISSION_REQUEST_LIST, _mission_list, _read_mission_list),
     (MissionCount, mavlink.MAVLINK_MSG_ID_MISSION_COUNT, _mission_count, _read_mission_count),
     (ServerVersion, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION, _version, _read_version),
+    (PositionTarget, mavlink.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED, _position_target, _read_position_target),
 ]
 _HOT: list[tuple[type, Kind, Callable[[Any], Packed], Callable[[bytes], Any]]] = [
     (VehicleAttitude, _ATTITUDE, _attitude, _read_attitude),
@@ -433,13 +474,15 @@ def encode(value: object) -> Packed:
     return _ENCODE[type(value)](value)
 
 
-def decode(msgid: int, whole: bytes) -> Any:
-    """The value in a frame with a right checksum, or None for a kind that nobody here reads.
-
-    Raises ValueError or ArithmeticError where the fields make no sense.
-    """
+def decode(msgid: int, whole: bytes) -> Value | None:
+    """The value in a frame with a right checksum; None for a kind that nobody here reads, or fields without sense."""
     kind = KINDS.get(msgid)
-    return None if kind is None or kind.read is None else kind.read(payload_of(whole))
+    if kind is None or kind.read is None:
+        return None
+    try:
+        return kind.read(payload_of(whole))
+    except (ValueError, ArithmeticError, struct.error):
+        return None
 
 
 def reread(message: Packed) -> Any:

@@ -96,14 +96,30 @@ class AttitudeTarget(NamedTuple):
     thrust: float  # 0..1
 
 
+class PositionTarget(NamedTuple):
+    """SET_POSITION_TARGET_LOCAL_NED (#84) as it stands on the wire; a vehicle judges frame and type mask."""
+
+    boot_ms: int
+    system: int
+    component: int
+    frame: int  # MAV_FRAME
+    type_mask: int  # POSITION_TARGET_TYPEMASK: what is to be ignored
+    x: tuple[float, float, float]  # m
+    v: tuple[float, float, float]  # m/s
+    a: tuple[float, float, float]  # m/s^2
+    yaw: float  # rad
+    yaw_rate: float  # rad/s
+
+
 class Command(NamedTuple):
-    """COMMAND_LONG (#76), or COMMAND_INT (#75) with its integer place as degrees."""
+    """COMMAND_LONG (#76), or COMMAND_INT (#75) with its integer place as degrees (NaN where it is left out)."""
 
     system: int
     component: int
     command: int
     params: tuple[float, float, float, float, float, float, float]
     confirmation: int = 0
+    frame: int | None = None  # MAV_FRAME of a COMMAND_INT
 
 
 class CommandAck(NamedTuple):
@@ -291,3 +307,42 @@ class ServerVersion(NamedTuple):
 
 
 ON_GROUND, IN_AIR = 1, 2
+
+Addressed = (
+    AttitudeTarget
+    | PositionTarget
+    | Command
+    | ParamRequestRead
+    | ParamRequestList
+    | ParamSet
+    | MissionRequestList
+    | MissionCount
+    | MissionClear
+    | FileRequest
+    | DataStream
+)
+"""What asks one component of one system for something: `system` and `component` say which."""
+
+Value = (
+    Addressed
+    | SetMode
+    | Heartbeat
+    | VehicleAttitude
+    | VehiclePosition
+    | PayloadState
+    | CableShape
+    | CommandAck
+    | ParamValue
+    | Timesync
+    | Ping
+    | StatusText
+    | LandedState
+    | Origin
+    | Battery
+    | GpsFix
+    | MissionAck
+    | FileRefusal
+    | Imu
+    | ServerVersion
+)
+"""Everything that a frame may be read as."""

@@ -27,7 +27,7 @@ from sitl.failures import Broken
 from sitl.instruments import Grades, Instruments
 from sitl.places import tracker_endpoints
 from sitl.plant import Truth
-from sitl.settings import Event, Report, Settings, Sink, own_generator, plant_of, sensors_of
+from sitl.settings import Event, Report, Settings, Sink, own_generator, plant_of, sensors_of, unread_frames
 
 FRAME_US = 1250  # the longest step: ArduCopter does not arm below 1.8 times its loop rate of 400 Hz
 LONG_TICK_US = 5000  # of whole such steps
@@ -138,11 +138,11 @@ class JointServer:
     def report(self) -> Report:
         """How it went so far."""
         tallies = [seat.tally for seat in self.seats]
-        refused = {verdict.value: count for verdict, count in self.link.counters.refused.items()}
+        refused = unread_frames(self.link.counters)
         for word in ("refused", "repeated", "stale"):
             refused[f"physics packets {word}"] = sum(getattr(t, word) for t in tallies)
         sent = sum(self.link.counters.sent_on[:1])
-        return Report(self._steps, 0, 0, (), sent, 0, 0, 0, 0, 0, self.link.counters.bad, refused)
+        return Report(self._steps, 0, 0, (), sent, 0, 0, 0, 0, 0, refused, {})
 
     def close(self) -> None:
         """Release the sockets."""

@@ -12,13 +12,33 @@ import numpy as np
 
 from bridge.wire.dialect import mavlink
 from bridge.wire.telemetry import BUILD, Snapshot
-from bridge.wire.values import IN_AIR, ON_GROUND, AttitudeTarget, Command, DataStream, Heartbeat, SetMode, Timesync
+from bridge.wire.values import (
+    IN_AIR,
+    ON_GROUND,
+    AttitudeTarget,
+    Command,
+    DataStream,
+    Heartbeat,
+    PositionTarget,
+    SetMode,
+    Timesync,
+)
 from cablequad import lie
 from cablequad.types import Array
 from sitl.firmware import arducopter_modes as modes
 from sitl.firmware.arducopter_modes import Mode, Situation
-from sitl.firmware.autopilot import NO_RATE, Actuation, Autopilot, Body, LinkKind, Outgoing
-from sitl.firmware.navigate import FAR_M, Goal
+from sitl.firmware.autopilot import (
+    COMMON_CAPABILITIES,
+    MAX_RATE,
+    MOST_INTERVAL_US,
+    NO_RATE,
+    Actuation,
+    Autopilot,
+    Body,
+    LinkKind,
+    Outgoing,
+)
+from sitl.firmware.navigate import A_IGNORED, FAR_M, V_IGNORED, X_IGNORED, Goal, goal_of
 from sitl.firmware.parameters import arducopter_parameters
 from sitl.firmware.transitions import ACCEPTED, CRITICAL, DENIED, FAILED, UNSUPPORTED, WARNING, decide
 
@@ -51,6 +71,16 @@ STREAM_GROUPS: dict[int, tuple[int, ...]] = {
         M.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
     ),
 }
+_TARGET_FRAMES = frozenset(
+    {
+        M.MAV_FRAME_LOCAL_NED,
+        M.MAV_FRAME_LOCAL_OFFSET_NED,
+        M.MAV_FRAME_BODY_NED,
+        M.MAV_FRAME_BODY_OFFSET_NED,
+    }
+)
+_BODY_FRAMES = frozenset({M.MAV_FRAME_BODY_NED, M.MAV_FRAME_BODY_OFFSET_NED})
+_PLACE_ALONE = 0xFFFF & ~X_IGNORED
 _POSITION = frozenset(
     {M.MAVLINK_MSG_ID_LOCAL_POSITION_NED, M.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, M.MAVLINK_MSG_ID_HOME_POSITION}
 )  # sent only once there is a position
@@ -60,7 +90,7 @@ class ArduCopter(Autopilot):
     """One ArduCopter vehicle."""
 
     autopilot: ClassVar[int] = M.MAV_AUTOPILOT_ARDUPILOTMEGA
-    capabilities: ClassVar[int] = 0xFBEF
+    capabilities: ClassVar[int] = COMMON_CAPABILITIES
     version: ClassVar[tuple[int, int, int]] = (4, 7, 0)
 
     def __init__(
@@ -114,6 +144,42 @@ class ArduCopter(Autopilot):
         if self._wants_thrust() and self.armed and self._spun_up_us is None:
             self._spun_up_us = now_us + round(self.parameters["MOT_SPOOL_TIME"] * 1e6)
 
+    def _position_setpoint(self, value: PositionTarget, now_us: int) -> None:
+        """A place, velocities, or both; what is asked for on some axes of a triple alone counts as not asked for."""
+        if self.mode is not Mode.GUIDED:
+            return
+        if value.frame not in _TARGET_FRAMES:
+            self._stop(f"Guided: coordinate frame {value.frame} unsupported, stopping")
+            return
+        place, velocity, acceleration = (not value.type_mask & bits for bits in (X_IGNORED, V_IGNORED, A_IGNORED))
+        numbers = (*(value.x if place else ()), *(value.v if velocity else ()))
+        if not all(math.isfinite(c) and abs(c) < FAR_M for c in numbers):
+            self._stop("Guided: position target is not finite, stopping")
+        elif not place and not velocity and not acceleration:
+            self._stop("Guided: nothing asked for, stopping")
+        else:
+            asked = value.type_mask | (0 if place else X_IGNORED) | (0 if velocity else V_IGNORED)
+            offset, body = value.frame != M.MAV_FRAME_LOCAL_NED, value.frame in _BODY_FRAMES
+            speed = self.parameters["WPNAV_SPEED"] / 100
+            self._target = goal_of(value._replace(type_mask=asked), self._at, self._R, speed, offset, body)
+            self._target_at_us = now_us
+            self._stopped, self._takeoff = False, None
+
+    def _go_to(self, c: Command, flags: int, now_us: int) -> int:
+        """DO_REPOSITION: in GUIDED to a place; from another mode only where it says so."""
+        change = flags > 0 and flags & M.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE
+        if self.mode is not Mode.GUIDED and not change:
+            return DENIED
+        place = self._place(c)
+        if place is None:
+            return DENIED
+        if self.mode is not Mode.GUIDED and self._switch(Mode.GUIDED, now_us) != ACCEPTED:
+            return FAILED
+        here = (float(place[0]), float(place[1]), float(place[2]))
+        frame, none = M.MAV_FRAME_LOCAL_NED, (0.0, 0.0, 0.0)
+        self._position_setpoint(PositionTarget(0, 0, 0, frame, _PLACE_ALONE, here, none, none, 0.0, 0.0), now_us)
+        return ACCEPTED
+
     def _stop(self, text: str) -> None:
         self._warn(text)
         self._stopped, self._target = True, None
@@ -148,6 +214,8 @@ class ArduCopter(Autopilot):
                 return [self._switch(Mode.RTL, now_us)]
             case M.MAV_CMD_NAV_LOITER_UNLIM:
                 return [self._switch(Mode.LOITER, now_us)]
+            case M.MAV_CMD_DO_REPOSITION:
+                return [self._go_to(c, number[1], now_us)]
             case M.MAV_CMD_SET_MESSAGE_INTERVAL:
                 return [self._set_interval(link, number[0], p[1], p[2])]
             case M.MAV_CMD_GET_HOME_POSITION if now_us < self._ready_us:
@@ -156,7 +224,7 @@ class ArduCopter(Autopilot):
                 return [self._request(link, c.command, number[0], FAILED)]
 
     def _set_interval(self, link: int, msgid: int, interval_us: float, p3: float) -> int:
-        if msgid not in BUILD or not math.isfinite(interval_us) or interval_us < -1 or p3 not in (0.0,):
+        if msgid not in BUILD or not -1 <= interval_us <= MOST_INTERVAL_US or p3 not in (0.0,):
             return DENIED
         if 0 < interval_us < FASTEST_US:
             self._text(WARNING, f"Interval of message {msgid} below {FASTEST_US / 1000:g} ms refused")
@@ -228,7 +296,9 @@ class ArduCopter(Autopilot):
     # -- time ----------------------------------------------------------------------------------------------------------
 
     def fresh_setpoint(self, now_us: int) -> bool:
-        """Whether an attitude target is in force: taken, and within GUID_TIMEOUT."""
+        """Whether a target is in force: taken, and within GUID_TIMEOUT, which a place to go to does not have."""
+        if isinstance(self._target, Goal) and bool(np.isfinite(self._target.x).all()):
+            return True
         return self._target is not None and now_us - self._target_at_us <= self.parameters["GUID_TIMEOUT"] * 1e6
 
     def carries(self, now_us: int) -> bool:
@@ -280,7 +350,9 @@ class ArduCopter(Autopilot):
         up = self._spun_up_us is not None and s.boot_us >= self._spun_up_us
         if not self.armed or (self.landed == ON_GROUND and not up):
             return self._act(Actuation(s.R, NO_RATE, 0.0, True), 0.0)
-        if self.mode in modes.TAKES_SETPOINTS and self._target is not None:
+        if self.mode in modes.TAKES_SETPOINTS and isinstance(self._target, Goal):
+            return self._act(act := self._positioned(s, self._target), act.throttle**2)
+        if self.mode in modes.TAKES_SETPOINTS and isinstance(self._target, AttitudeTarget):
             return self._guided(s, self._target)
         return self._act(act := self._on_board(s), act.throttle**2)
 
@@ -304,6 +376,15 @@ class ArduCopter(Autopilot):
                     return Actuation(s.R, NO_RATE, 0.0, True)
                 return self._go(s, None)
 
+    def _positioned(self, s: Snapshot, goal: Goal) -> Actuation:
+        """GUIDED by places and velocities, as the position loop on board flies them; on the ground it stays there."""
+        if self.landed == ON_GROUND:
+            return Actuation(s.R, NO_RATE, 0.0, True)
+        if not self.fresh_setpoint(s.boot_us):
+            self._stop("Guided: no velocity target, stopping")
+            return self._go(s, None)
+        return self._go(s, goal)
+
     def _guided(self, s: Snapshot, target: AttitudeTarget) -> Actuation:
         mask, rates = target.type_mask, NO_RATE
         fresh = self.fresh_setpoint(s.boot_us)
@@ -313,7 +394,7 @@ class ArduCopter(Autopilot):
             return self._act(self._climb(s, R_c, NO_RATE, 0.0), self._throttle**2)
         self._warned = "" if self._warned.startswith("Guided: no") else self._warned
         if mask & 7 == 0:
-            rates = np.where(np.isfinite(target.rates), target.rates, 0.0)
+            rates = np.where(np.isfinite(target.rates), np.clip(target.rates, -MAX_RATE, MAX_RATE), 0.0)
         if mask & 128:
             throttle, shown = self._collective(s, s.R)
             return self._act(Actuation(s.R, rates, throttle, True), shown)

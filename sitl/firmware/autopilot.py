@@ -9,12 +9,13 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from bridge.wire.dialect import mavlink
-from bridge.wire.earth import Home
+from bridge.wire.earth import Home, local
 from bridge.wire.frames import Packed, packed
-from bridge.wire.messages import encode, text_frames
+from bridge.wire.messages import GLOBAL_FRAMES, encode, text_frames
 from bridge.wire.telemetry import BUILD, Snapshot
 from bridge.wire.values import (
     ON_GROUND,
+    Addressed,
     AttitudeTarget,
     Command,
     CommandAck,
@@ -30,10 +31,12 @@ from bridge.wire.values import (
     ParamRequestRead,
     ParamSet,
     Ping,
+    PositionTarget,
     ServerVersion,
     SetMode,
     StatusText,
     Timesync,
+    Value,
 )
 from cablequad.types import Array
 from sitl.firmware.navigate import FAR_M, Goal, Navigator, attitude
@@ -51,7 +54,17 @@ MISSION_UNSUPPORTED = 3
 FTP_FILE_NOT_FOUND = 10
 GROUND_STATION = M.MAV_TYPE_GCS
 SINK_M_S = 0.3  # a PX4 in position mode without a radio
+MAX_RATE = 35.0  # rad/s: what a gyroscope can measure, 2000 deg/s; no rate loop asks for more
+MOST_MSGID, MOST_INTERVAL_US = 65535, 2**31 - 1  # that MESSAGE_INTERVAL can tell
+RELATIVE_FRAMES = frozenset({M.MAV_FRAME_GLOBAL_RELATIVE_ALT, M.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT})
 NO_RATE = np.zeros(3)
+COMMON_CAPABILITIES = (
+    M.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
+    | M.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
+    | M.MAV_PROTOCOL_CAPABILITY_SET_ATTITUDE_TARGET
+    | M.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
+    | M.MAV_PROTOCOL_CAPABILITY_MAVLINK2
+)  # what the firmware has beyond these (missions, fence, rally points, FTP, terrain) is not here, and not claimed
 
 
 class LinkKind(Enum):
@@ -116,13 +129,14 @@ class Autopilot(ABC):
         self.failsafe = False
         self._ready_us = ready_us
         self._now_us = 0
-        self._target: AttitudeTarget | None = None
+        self._target: AttitudeTarget | Goal | None = None  # a Goal: places and velocities are asked for
+        self._origin = Home()
         self._target_at_us = -(10**12)
         self._armed_at_us = 0
         self._landed_at_us = 0
         self._ground_heard_us: int | None = None
         self._home = np.zeros(3)
-        self._at = np.zeros(3)
+        self._at, self._R = np.zeros(3), np.eye(3)  # where it was last, and how it was turned
         self._v_down, self._sinks_m_s2, self._noted_us = 0.0, 0.0, -1
         self._next_heartbeat_us = 0
         self._outbox: list[Outgoing] = []
@@ -166,6 +180,10 @@ class Autopilot(ABC):
         """Take SET_ATTITUDE_TARGET."""
 
     @abstractmethod
+    def _position_setpoint(self, value: PositionTarget, now_us: int) -> None:
+        """Take SET_POSITION_TARGET_LOCAL_NED."""
+
+    @abstractmethod
     def _addressed(self, c: Command) -> bool:
         """Whether a command is for this vehicle."""
 
@@ -183,8 +201,8 @@ class Autopilot(ABC):
 
     # -- what comes in -------------------------------------------------------------------------------------------------
 
-    def handle(self, link: int, system: int, component: int, value: Any, now_us: int) -> None:
-        """Take one message that (system, component) sent on `link`."""
+    def handle(self, link: int, system: int, component: int, value: Value | None, now_us: int) -> None:
+        """Take one message that (system, component) sent on `link`; what it does not act on changes nothing."""
         match value:
             case AttitudeTarget():
                 if value.system == self.system_id:  # never system 0: n vehicles would all obey
@@ -207,16 +225,21 @@ class Autopilot(ABC):
             case Ping():
                 if (value.system, value.component) == (0, 0):
                     self._reply(link, Ping(value.time_us, value.seq, system, component))
-            case None:
-                pass
+            case PositionTarget():
+                if value.system == self.system_id and value.component in (0, 1):
+                    self._position_setpoint(value, now_us)
+            case (
+                ParamRequestRead() | ParamRequestList() | ParamSet() | MissionRequestList() | MissionCount()
+                | MissionClear() | FileRequest() | DataStream()
+            ) if self._mine(value):  # fmt: skip
+                self._service(link, system, component, value)
             case _:
-                if self._mine(value):
-                    self._service(link, system, component, value)
+                pass
 
-    def _mine(self, value: Any) -> bool:
-        return (value.system, value.component) in ((s, c) for s in (0, self.system_id) for c in (0, 1))
+    def _mine(self, value: Addressed) -> bool:
+        return value.system in (0, self.system_id) and value.component in (0, 1)
 
-    def _service(self, link: int, system: int, component: int, value: Any) -> None:
+    def _service(self, link: int, system: int, component: int, value: Addressed) -> None:
         match value:
             case ParamRequestRead():
                 if answer := self.parameters.read(value):
@@ -252,8 +275,10 @@ class Autopilot(ABC):
     def _request(self, link: int, command: int, msgid: int, unknown: int) -> int:
         """Commands that only ask for a message: the result, `unknown` for a message that this vehicle does not have."""
         match command:
+            case M.MAV_CMD_GET_MESSAGE_INTERVAL if not 0 <= msgid <= MOST_MSGID:
+                return unknown
             case M.MAV_CMD_GET_MESSAGE_INTERVAL:
-                asked = max(msgid, 0)
+                asked = msgid
                 interval = packed(M.MAVLink_message_interval_message, asked, self.streams[link].interval_us(asked))
                 self._outbox.append(Outgoing(link, interval))
             case M.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES:
@@ -291,6 +316,7 @@ class Autopilot(ABC):
         self, boot_us: int, R: Array, Omega: Array, x: Array, v: Array, specific_force: Array, home: Home
     ) -> Snapshot:
         """What the vehicle knows of itself, where it is and moves like this; see Snapshot."""
+        self._origin = home
         return Snapshot(
             boot_us, R, Omega, x, v, specific_force, self._throttle, self.armed, self.landed, self._commanded, home,
             self._home,
@@ -375,6 +401,21 @@ class Autopilot(ABC):
         self._commanded = (act.R_c, act.Omega_c, shown_thrust)
         return act
 
+    def _place(self, c: Command) -> Array | None:
+        """(3,) m, W: the place in a command's parameters 5 to 7, NaN for where it is; None for none on earth."""
+        lat, lon, altitude = c.params[4:]
+        x = self._at.copy()
+        if c.frame is not None and c.frame not in GLOBAL_FRAMES:
+            return None
+        if math.isfinite(lat) and math.isfinite(lon):
+            if abs(lat) > 90.0 or abs(lon) > 180.0:
+                return None
+            x[:2] = local(self._origin, lat, lon, 0.0)[:2]
+        if math.isfinite(altitude):
+            above_home = c.frame in RELATIVE_FRAMES
+            x[2] = self._home[2] - altitude if above_home else self._origin.altitude_m - altitude
+        return x if float(np.abs(x).max()) < FAR_M else None
+
     def _thrust_now_N(self) -> float:
         return self.body.max_thrust_N * self._throttle**2
 
@@ -389,7 +430,8 @@ class Autopilot(ABC):
             self.navigator.goal = goal
         force = self.navigator.force(s)
         thrust_N = float(np.linalg.norm(force))
-        return Actuation(attitude(s, force), NO_RATE, self._motor_command_of(thrust_N), False)
+        R_c = attitude(s, force, self.navigator.yaw(s))
+        return Actuation(R_c, NO_RATE, self._motor_command_of(thrust_N), False)
 
     def _begin(self, s: Snapshot) -> None:
         self.navigator.begin(s, 0.0 if self.landed == ON_GROUND else self._thrust_now_N(), self._sinks_m_s2)
@@ -416,4 +458,4 @@ class Autopilot(ABC):
         dt = (s.boot_us - self._noted_us) * 1e-6
         if 0 < dt < 0.1:
             self._sinks_m_s2 = (float(s.v[2]) - self._v_down) / dt
-        self._at, self._v_down, self._noted_us = s.x, float(s.v[2]), s.boot_us
+        self._at, self._R, self._v_down, self._noted_us = s.x, s.R, float(s.v[2]), s.boot_us

@@ -11,11 +11,21 @@ import numpy as np
 
 from bridge.wire.dialect import mavlink
 from bridge.wire.telemetry import BUILD, Snapshot
-from bridge.wire.values import IN_AIR, ON_GROUND, AttitudeTarget, Command, Heartbeat, SetMode
+from bridge.wire.values import IN_AIR, ON_GROUND, AttitudeTarget, Command, Heartbeat, PositionTarget, SetMode
 from cablequad import lie
 from sitl.firmware import px4_modes as modes
-from sitl.firmware.autopilot import NO_RATE, SINK_M_S, Actuation, Autopilot, Body, LinkKind
-from sitl.firmware.navigate import Goal
+from sitl.firmware.autopilot import (
+    COMMON_CAPABILITIES,
+    MAX_RATE,
+    MOST_INTERVAL_US,
+    NO_RATE,
+    SINK_M_S,
+    Actuation,
+    Autopilot,
+    Body,
+    LinkKind,
+)
+from sitl.firmware.navigate import A_IGNORED, FORCE_SET, X_IGNORED, Goal, goal_of
 from sitl.firmware.parameters import px4_parameters
 from sitl.firmware.px4_modes import Mode, Situation
 from sitl.firmware.transitions import (
@@ -70,7 +80,7 @@ class Px4(Autopilot):
     """One PX4 vehicle."""
 
     autopilot: ClassVar[int] = M.MAV_AUTOPILOT_PX4
-    capabilities: ClassVar[int] = 0xE8FF
+    capabilities: ClassVar[int] = COMMON_CAPABILITIES | M.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
     version: ClassVar[tuple[int, int, int]] = (1, 16, 0)
 
     def __init__(
@@ -83,6 +93,7 @@ class Px4(Autopilot):
         self.terminated = False
         self.returned: Mode | None = None  # the mode a setpoint-loss failsafe interrupted
         self._takeoff_z: float | None = None
+        self._reposition: Goal | None = None  # where DO_REPOSITION sent it
 
     @property
     def mode_name(self) -> str:
@@ -93,6 +104,18 @@ class Px4(Autopilot):
     def _setpoint(self, value: AttitudeTarget, now_us: int) -> None:
         if value.component in (0, 1):
             self._target, self._target_at_us = value, now_us
+
+    def _position_setpoint(self, value: PositionTarget, now_us: int) -> None:
+        """Places in the local frame alone, velocities in the body's too; every axis by itself."""
+        body = value.frame == M.MAV_FRAME_BODY_NED
+        if not body and value.frame != M.MAV_FRAME_LOCAL_NED:
+            self._warn(f"SET_POSITION_TARGET_LOCAL_NED: coordinate frame {value.frame} unsupported")
+        elif value.type_mask & FORCE_SET and value.type_mask & A_IGNORED != A_IGNORED:
+            self._warn("SET_POSITION_TARGET_LOCAL_NED: force setpoint unsupported")
+        else:
+            asked = value._replace(type_mask=value.type_mask | X_IGNORED) if body else value
+            self._target = goal_of(asked, self._at, self._R, self.parameters["MPC_XY_CRUISE"], False, body)
+            self._target_at_us = now_us
 
     def _addressed(self, c: Command) -> bool:
         return c.system == self.system_id and c.component in (0, 1)
@@ -111,8 +134,10 @@ class Px4(Autopilot):
                 M.MAV_CMD_NAV_TAKEOFF | M.MAV_CMD_NAV_LAND | M.MAV_CMD_NAV_RETURN_TO_LAUNCH | M.MAV_CMD_NAV_LOITER_UNLIM
             ):
                 return [self._switch(_MODE_COMMANDS[c.command], now_us)]
+            case M.MAV_CMD_DO_REPOSITION:
+                return [self._go_to(c, number[1], now_us)]
             case M.MAV_CMD_SET_MESSAGE_INTERVAL:
-                ok = number[0] in BUILD and math.isfinite(p[1]) and p[1] >= -1
+                ok = number[0] in BUILD and -1 <= p[1] <= MOST_INTERVAL_US
                 if ok:
                     self.streams[link].set_interval(number[0], p[1])
                 return [ACCEPTED if ok else FAILED]
@@ -120,6 +145,21 @@ class Px4(Autopilot):
                 return [self._inject(number)]
             case _:
                 return [self._request(link, c.command, number[0], DENIED)]
+
+    def _go_to(self, c: Command, flags: int, now_us: int) -> int:
+        """DO_REPOSITION: into Hold, at a place; without its flag for the change of mode it is not obeyed."""
+        if flags < 0 or not flags & M.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE:
+            return UNSUPPORTED
+        place = self._place(c)
+        if place is None:
+            return DENIED
+        result = self._switch(Mode.LOITER, now_us)
+        if result == ACCEPTED:
+            speed, yaw = c.params[0], c.params[3]
+            cruise = self.parameters["MPC_XY_CRUISE"]
+            speed = min(speed, cruise) if math.isfinite(speed) and speed > 0 else cruise
+            self._reposition = Goal(place, speed, None, yaw if math.isfinite(yaw) else None)
+        return result
 
     def _inject(self, number: list[int]) -> int:
         """MAV_CMD_INJECT_FAILURE with SYS_FAILURE_EN: motors that stop, and a GPS that says nothing any more."""
@@ -165,7 +205,7 @@ class Px4(Autopilot):
         if mode is not self.mode:
             self.mode = mode
             self.navigator.end()
-            self._takeoff_z = None
+            self._takeoff_z, self._reposition = None, None
 
     def _arm(self, arm: bool, forced: bool, now_us: int) -> int:
         row = decide(modes.ARM if arm else modes.DISARM, self._situation(now_us, forced))
@@ -254,7 +294,10 @@ class Px4(Autopilot):
         spooling = s.boot_us - self._armed_at_us < self.parameters["COM_SPOOLUP_TIME"] * 1e6
         if not self.armed or self.terminated or (spooling and self.landed == ON_GROUND):
             act = Actuation(s.R, NO_RATE, 0.0, True)
-        elif self.mode is Mode.OFFBOARD and self._target is not None:
+        elif self.mode is Mode.OFFBOARD and isinstance(self._target, Goal):
+            act = self._go(s, self._target)
+        elif self.mode is Mode.OFFBOARD and isinstance(self._target, AttitudeTarget):
+            self.navigator.end()
             asked = 0.0 if self._target.type_mask & 64 else self._target.thrust
             return self._act(self._offboard(s, self._target), abs(asked))  # the size of thrust_body
         else:
@@ -273,6 +316,8 @@ class Px4(Autopilot):
                 if abs(float(s.x[2]) - self._takeoff_z) < 0.2:
                     self.mode = Mode.LOITER  # the position loop goes on where it is
                 return self._go(s, goal)
+            case Mode.LOITER if self._reposition is not None:
+                return self._go(s, self._reposition)
             case Mode.LAND:
                 return self._go(s, self._down(p["MPC_LAND_SPEED"]))
             case Mode.RTL:
@@ -293,7 +338,7 @@ class Px4(Autopilot):
         elif not math.isfinite(target.thrust):
             self._warn("Offboard: thrust is not finite, motors off")
         if mask & 128:
-            rates = np.array(target.rates)
+            rates = np.clip(target.rates, -MAX_RATE, MAX_RATE)
             return Actuation(s.R, np.where(np.isfinite(rates), rates, s.Omega), throttle, True)
         w, x, y, z = target.quat_wxyz
         size = w * w + x * x + y * y + z * z
@@ -301,7 +346,7 @@ class Px4(Autopilot):
             self._warn("Offboard: invalid quaternion, attitude uncontrolled")
             return Actuation(s.R, s.Omega.copy(), throttle, True)
         R_c = lie.rotation_from_wxyz(w, x, y, z)
-        yaw_rate = target.rates[2]
+        yaw_rate = min(max(target.rates[2], -MAX_RATE), MAX_RATE)
         if mask & 4 or not math.isfinite(yaw_rate):
             return Actuation(R_c, NO_RATE, throttle, False)
         return Actuation(R_c, yaw_rate * R_c[2], throttle, False)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from mavsdk import ComponentType, Configuration, Mavsdk
 from mavsdk.plugins.action import Action
-from mavsdk.plugins.offboard import Attitude, Offboard
+from mavsdk.plugins.offboard import Attitude, Offboard, PositionNedYaw, VelocityNedYaw
 from mavsdk.plugins.param import Param
 from mavsdk.plugins.telemetry import Telemetry
 
@@ -76,6 +76,28 @@ for roll, pitch, axis in ((12.0, 0.0, "east_m"), (0.0, -12.0, "north_m")):
         lambda axis=axis, start=start: getattr(telemetry.position_velocity_ned().position, axis) - start > 0.3,
     )
 until("in the air", telemetry.in_air)
+
+
+def ned() -> tuple[float, float, float]:
+    p = telemetry.position_velocity_ned().position
+    return p.north_m, p.east_m, p.down_m
+
+
+def near(x: float, y: float, z: float) -> bool:
+    return max(abs(a - b) for a, b in zip(ned(), (x, y, z), strict=True)) < 0.4
+
+
+north, east, down = ned()
+offboard.set_position_ned(PositionNedYaw(north + 2.0, east - 1.0, down - 1.0, 0.0))
+until("offboard by position", lambda: near(north + 2.0, east - 1.0, down - 1.0), 20.0)
+offboard.set_velocity_ned(VelocityNedYaw(0.0, 1.0, 0.0, 0.0))
+until("offboard by velocity", lambda: ned()[1] - east > 1.0, 20.0)
+action.hold()
+until("hold before goto", lambda: telemetry.flight_mode().name in ("HOLD", "GUIDED", "POSCTL"))
+where = telemetry.position()
+action.goto_location(where.latitude_deg + 2.0 / 111_195.0, where.longitude_deg, where.absolute_altitude_m + 1.0, 90.0)
+until("goto", lambda: (telemetry.position().latitude_deg - where.latitude_deg) * 111_195.0 > 1.6, 20.0)
+until("goto climbs", lambda: telemetry.position().absolute_altitude_m - where.absolute_altitude_m > 0.7)
 action.hold()
 until("hold", lambda: telemetry.flight_mode().name in ("HOLD", "GUIDED", "POSCTL"))
 action.land()
