@@ -206,9 +206,11 @@ class _Flight:
     def _feed(self, frame: Received, now: float) -> None:
         system, value = frame.system, frame.value
         kind = type(value)
-        self.fleet.feed(system, frame.component, value, now)
         if kind is Command and (value.system, value.component) == (SYSTEM, COMPONENT):
             self._told(frame, value)
+        if self.routes.get(system) != (frame.port, frame.address):
+            return  # of nobody who flies here: what it measured is of something else
+        self.fleet.feed(system, frame.component, value, now)
         if frame.component == (1 if system != TRACKER else COMPONENT):
             if kind is Origin:
                 self.relation.learn(system, value)

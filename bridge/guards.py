@@ -1,5 +1,6 @@
 """Guards: rules with a number, checked at every tick of a mission, and what is done where one is broken."""
 
+from collections.abc import Iterable
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -38,18 +39,22 @@ UPPER = frozenset({"tension_N", "tilt_deg", "load_tilt_deg", "outside_fence_m", 
 
 def readings(r: Reading) -> dict[str, float]:
     """Every figure by its guard's name."""
-    outside = [np.maximum(r.fence[0] - p, p - r.fence[1]).max() for p in (*r.x, r.load)]
     return {
         "tension_N": float(np.nanmax(r.tension)) if np.isfinite(r.tension).any() else 0.0,
         "separation_m": separation(r.x),
         "tilt_deg": _tilt(r.R),
         "load_tilt_deg": _tilt(r.R0[None]),
-        "outside_fence_m": float(max(outside)),
+        "outside_fence_m": outside_fence(r.fence, [*r.x, r.load]),
         "thrust_reserve": r.reserve,
         "state_age_s": r.age_s,
         "off_plan_m": r.off_plan_m,
         "battery": r.battery,
     }
+
+
+def outside_fence(fence: Array, places: Iterable[Array]) -> float:
+    """m: how far the furthest of `places` (3,) is outside the fence (2, 3); negative inside."""
+    return float(max(np.maximum(fence[0] - p, p - fence[1]).max() for p in places))
 
 
 def separation(x: Array) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 from bridge.crew import bare, blind, static_shares
 from bridge.each import SHARE_S, Each, clear_of
 from bridge.fleet import Fleet
-from bridge.guards import Reading, Watch, readings, separation
+from bridge.guards import Reading, Watch, outside_fence, readings, separation
 from bridge.losses import Loss, Losses
 from bridge.mission_plan import MissionPlan
 from bridge.phases import FLYING, LOADED, RULES, Phase
@@ -105,6 +105,7 @@ class Mission:
         self._aborted = False
         self._script: Coroutine[Any, Any, None] = script(self)
         self._until: Until | None = None
+        self._running: Coroutine[Any, Any, None] | None = None  # the script that is being asked
         self._watch = Watch(plan.guards)
         self._losses = Losses()
         self._each = Each(n, period_s)
@@ -124,8 +125,33 @@ class Mission:
             here = "the start" if self.phase is None else f"phase {self.phase}"
             allowed = ", ".join(sorted("the start" if p is None else str(p) for p in RULES[phase].after))
             raise MissionError(f"{phase} may not follow {here}; it may follow {allowed}")
+        if self.phase is not None and not self.phase_done and not self._aborted:
+            raise MissionError(f"{phase} may not begin while phase {self.phase} is under way; await that first")
+        if to is not None and not self._aborted:
+            self._reachable(phase, to)
         self._enter(phase, to)
         return Waiting(lambda: self.phase_done)
+
+    def _reachable(self, phase: Phase, to: list[float]) -> None:
+        """Raise MissionError where the load cannot be brought to x, y, z (m), yaw (rad), before anything moves."""
+        where = "({:g}, {:g}, {:g}) m".format(*to[:3])
+        if to[2] > self.plan.rest_z:
+            raise MissionError(
+                f"{phase} to {where}: below the ground; the load stands at z = {self.plan.rest_z:.2f} m, and up is "
+                "negative"
+            )
+        hung = self.here.state._replace(x0=np.array(to[:3]), R0=lie.exp(np.array([0.0, 0.0, to[3]])) @ self.plan.hangs)
+        outside = outside_fence(self.plan.fence, [np.array(to[:3]), *self._rig.above(hung, 1.0)])
+        if outside > 0.0:
+            raise MissionError(
+                f"{phase} to {where}: the load or a vehicle above it would be {outside:.1f} m outside the fence"
+            )
+        seconds, limit = leg(self.led, to, self.plan.limits).duration, self.plan.limits_s[phase]
+        if seconds > limit:
+            raise MissionError(
+                f"{phase} to {where}: it takes {seconds:.0f} s within the limits of [plan], and the phase may take "
+                f"{limit:g} s (mission.limits_s)"
+            )
 
     def wait(self, seconds: float) -> Waiting:
         """For a while, on the vehicles' clock."""
@@ -154,15 +180,15 @@ class Mission:
 
     def abort(self, why: str) -> None:
         """Give up what was planned and come to the ground from here, in order."""
-        if self._aborted or self.phase is None:
+        if self._aborted or self.finished:
             return
         self._aborted = True
         self._clock.run()
         self.failure = self.failure or why
         self._tell("abort", "all", why)
-        self._script.close()
-        self._script = self._come_down()
-        self._until = None
+        before, self._script, self._until = self._script, self._come_down(), None
+        if before is not self._running:  # a script that gives up by itself ends by itself
+            before.close()
 
     def command(self, command: int, params: Sequence[float]) -> int:
         """Obey a MAVLink command of an operator; the MAV_RESULT to acknowledge."""
@@ -177,7 +203,13 @@ class Mission:
         return UNSUPPORTED
 
     async def _come_down(self) -> None:
-        if self.phase in LOADED:
+        if self.phase is None:
+            return
+        if self.phase is Phase.ARM and self.plan.airborne and self.released:  # the load hangs where it was held
+            self._track = still([*self.here.state.x0.tolist(), yaw_of(self.here.state, self.plan.hangs)])
+            await self.begin(Phase.SET_DOWN)
+            await self.begin(Phase.RELEASE)
+        elif self.phase in LOADED:
             if self.phase is not Phase.SET_DOWN:
                 await self.begin(Phase.SET_DOWN, self._below())
             else:
@@ -210,15 +242,24 @@ class Mission:
         return sample
 
     def _run_script(self) -> None:
-        try:
-            while self._until is None or self._until():
-                self._until = self._script.send(None)
-        except StopIteration:
-            if not self.finished:
-                self.finished = True
-        except MissionError as error:
-            self.failure = self.failure or str(error)
-            self.abort(str(error))
+        """Ask the script for what it wants next, as long as what it waited for has come."""
+        while not self.finished and (self._until is None or self._until()):
+            script = self._running = self._script
+            try:
+                until = script.send(None)
+            except StopIteration:
+                self.finished = self.finished or script is self._script
+            except MissionError as error:
+                if self._aborted and script is self._script:
+                    self.failure, self.finished = self.failure or str(error), True
+                self.abort(str(error))
+            else:
+                if script is self._script:
+                    self._until = until
+                else:
+                    script.close()  # it gave up, and something else goes on
+            finally:
+                self._running = None
 
     def _enter(self, phase: Phase, to: list[float] | None) -> None:
         before, self.phase = self.phase, phase

@@ -298,9 +298,10 @@ def main() -> None:
         interrupted.append(number)
         raise KeyboardInterrupt
 
-    before = signal.getsignal(signal.SIGINT)
-    if before is signal.default_int_handler:  # whoever starts us may have us ignore it
-        signal.signal(signal.SIGINT, interrupt)
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    for number, usual in before.items():
+        if usual in (signal.default_int_handler, signal.SIG_DFL):  # whoever starts us may have us ignore it
+            signal.signal(number, interrupt)
     try:
         app()
     except KeyboardInterrupt:
@@ -309,7 +310,8 @@ def main() -> None:
         if not interrupted:  # else a library that it met has made an error of its own of it
             raise
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, usual in before.items():
+            signal.signal(number, usual)
     print("cablequad: interrupted", file=sys.stderr)
     sys.exit(INTERRUPTED)
 

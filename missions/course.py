@@ -118,12 +118,12 @@ def course_from(source: str, name: str, start: list[float], limits: Limits) -> T
             raise CourseError("no function mission(course) in it")
         mission(course)
         return course.trajectory()
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         kind = "" if isinstance(error, CourseError) else f"{type(error).__name__}: "
         raise CourseError(f"{where(name, error)}: {kind}{error}".splitlines()[0]) from None
 
 
-def where(name: str, error: Exception) -> str:
+def where(name: str, error: BaseException) -> str:
     """Which script, and which of its lines an error is about."""
     frames = [f for f in traceback.extract_tb(error.__traceback__) if f.filename == name]
     line = error.lineno if isinstance(error, SyntaxError) else frames[-1].lineno if frames else None

@@ -36,9 +36,12 @@ async def usual(mission: Mission) -> None:
             await mission.wait(mission.plan.hold_s)
 
 
-def script_of(flight: Flight) -> Script:
-    """What a flight's mission runs: its own script, or every phase after the other."""
-    return usual if flight.script is None else script_from(flight.script, "mission.py")
+def script_of(flight: Flight, waits: bool) -> Script:
+    """What a flight's mission runs: its own script, or every phase after the other.
+
+    `waits`: the vehicles' clock stands still while a script runs.
+    """
+    return usual if flight.script is None else script_from(flight.script, flight.script_name, waits)
 
 
 def standing(flight: Flight) -> Standing | None:

@@ -22,8 +22,11 @@ class Ready(NamedTuple):
     mission: Mission | None
 
 
-def ready(flight: Flight, design: Design, configure: bool) -> Ready:
-    """What flies the flight; `configure`: parameters that a vehicle needs to be flown are set."""
+def ready(flight: Flight, design: Design, configure: bool, waits: bool = True) -> Ready:
+    """What flies the flight; `configure`: parameters that a vehicle needs to be flown are set.
+
+    `waits`: the vehicles' clock waits for the controller, and so for a script.
+    """
     s, loop = flight.scenario, loop_of(flight)
     grounded, airborne = s.mission is not None, s.mission is not None and s.mission.start == "air"
     period_s, sensing = flight.control_us * 1e-6, s.control.sensing
@@ -31,7 +34,7 @@ def ready(flight: Flight, design: Design, configure: bool) -> Ready:
     if not grounded:
         plan = Plan(lambda t: at(flight.trajectory, t), s.duration_s)
         return Ready(fleet, PlanDecider(plan, fleet, loop, design), loop, None)
-    mission = mission_of(flight, fleet, design, script_of(flight))
+    mission = mission_of(flight, fleet, design, script_of(flight, waits))
     return Ready(fleet, MissionDecider(mission, loop, design), loop, mission)
 
 

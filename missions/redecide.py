@@ -14,7 +14,6 @@ from bridge.fleet import COMPONENT, SYSTEM, TRACKER
 from bridge.observe import Instant, Observer
 from bridge.phases import FLY
 from bridge.relate import Related, Relation
-from bridge.wire.dialect import mavlink
 from bridge.wire.messages import decode
 from bridge.wire.values import Command
 from cablequad.design import Design
@@ -80,7 +79,7 @@ def _follow(path: Path, flight: Flight, design: Design) -> list[bytes]:
     """The decisions of a plan; when it flies and when it was released is taken from the log."""
     observer = Observer(loop_of(flight))
     memory, after = first_memory(design), []
-    for told in told_by(path):
+    for told in told_by(path, len(flight.system.m)):
         match told:
             case Frame():
                 if told.own:
@@ -104,7 +103,7 @@ def _follow_mission(path: Path, flight: Flight, design: Design) -> list[bytes]:
     assert mission is not None
     after: list[bytes] = []
     heard: float | None = None  # s, of frames that came before the first decision
-    for told in told_by(path):
+    for told in told_by(path, len(flight.system.m)):
         match told:
             case Frame():
                 if heard is not None and told.now != heard and not after:
@@ -139,18 +138,22 @@ class Frame(NamedTuple):
     own: bool  # of the flight controller itself, or of the tracker
 
 
-def told_by(path: Path) -> Iterator[Frame | pb.Event | pb.ControlState]:
-    """What a log says that decisions go by, in its order; what vehicles say is in the tracker's time and frame."""
+def told_by(path: Path, vehicles: int = SYSTEMS) -> Iterator[Frame | pb.Event | pb.ControlState]:
+    """What a log says that decisions go by, in its order; what vehicles say is in the tracker's time and frame.
+
+    What systems other than the `vehicles` and the tracker measure is nobody's own.
+    """
     run = read(path)
     epoch_ns = run.epoch_ns
     relation = Relation(SYSTEMS, TRACKER, any(event.kind == "clock" for event in run.events))
     for entry in entries(path):
         if entry.topic.startswith("/mavlink/") and entry.topic.endswith("/rx"):
             f = pb.MavlinkFrame.FromString(entry.data)
-            value = _value(f)
+            value = decode(f.msgid, f.frame)
             if value is not None:
                 relation.learn(f.sysid, value)
-                own = f.compid == (COMPONENT if f.sysid == TRACKER else 1)
+                tracker = (f.sysid, f.compid) == (TRACKER, COMPONENT)
+                own = tracker or (f.compid == 1 and 1 <= f.sysid <= vehicles)
                 mapped = relation.mapped(f.sysid, value)
                 yield Frame((entry.log_time - epoch_ns) * 1e-9, f.sysid, f.compid, value, mapped, own)
         elif entry.topic == "/event":
@@ -169,13 +172,6 @@ def _instant(path: Path, observer: Observer, was: pb.ControlState) -> tuple[int,
     if instant is None:
         raise LogError(f"log {path}: no state can be made of the frames before t = {was.t:.3f} s")
     return boot_ms, instant
-
-
-def _value(f: Any) -> Any:
-    try:
-        return decode(f.msgid, f.frame)
-    except (mavlink.MAVError, ValueError, ArithmeticError):
-        return None
 
 
 def _compared(was: Mapping[str, np.ndarray], after: list[bytes]) -> Redecided:

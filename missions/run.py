@@ -54,6 +54,9 @@ SWITCH_S = 0.0005  # the writer thread gives the interpreter back to the control
 
 BOOT_S = 120.0  # wall clock, for autopilots to come up
 
+SHOWN = frozenset(
+    {"script", "phase", "pause", "resume", "abort", "guard", "lost", "crew", "stranger", "mishandled", "stall"}
+)  # kinds of events that the user is told of as they come
 NO_TIME = Timing(0, 0, [], 0.0, [], 0)
 
 
@@ -86,8 +89,8 @@ class Progress:
 class _Watch:
     """Passes everything on to the scribe and keeps the figures of what was decided."""
 
-    def __init__(self, scribe: Scribe, track: Track) -> None:
-        self.scribe = scribe
+    def __init__(self, scribe: Scribe, track: Track, say: Callable[[str], None]) -> None:
+        self.scribe, self.say = scribe, say
         self.track = track
         self.ended = False
         self.tallies: list[Tally] = []  # of the faulty links to the controller
@@ -101,6 +104,8 @@ class _Watch:
 
     def event(self, boot_us: int, kind: str, subject: str, text: str) -> None:
         self.scribe.event(boot_us, kind, subject, text)
+        if kind in SHOWN:
+            self.say(f"t = {boot_us * 1e-6:7.2f} s  {kind}: {text}")
         self.ended = self.ended or kind == "end"
 
 
@@ -151,7 +156,7 @@ def _run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary,
             show = Show(beginning.path)
         _warm_up(design, flight)  # before the vehicles' clock runs: it does not wait for a compiler
         predict_once(flight)
-        prepared = ready(flight, design, options.configure)
+        prepared = ready(flight, design, options.configure, lockstep)
         if external and options.launch is not None:
             autopilots = Autopilots(starts, beginning.path.with_suffix(""))
         elif external:
@@ -159,7 +164,7 @@ def _run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary,
             for line in start_lines(starts, beginning.path.with_suffix("")):
                 progress.say(f"  {line}")
         scribe.wait_ready()
-        watch = _Watch(scribe, _track(flight))
+        watch = _Watch(scribe, _track(flight), progress.say)
         if simulator is not None and lockstep:
             pin(-2)
         sys.setswitchinterval(SWITCH_S)
@@ -300,7 +305,10 @@ def _fly(
             error = math.hypot(*sample.error.x[:3].tolist())
             progress.flown(sample.t, s.duration_s, error, sample.t / max(1e-9, now - started[0]))
             if mission is not None and sample.t > s.duration_s:
-                return f"the mission is not over after {s.duration_s:g} s (duration_s), in phase {phase}"
+                late = f"the mission is not over after {s.duration_s:g} s (duration_s), in phase {phase}"
+                if not mission.plan.protect:
+                    return late
+                mission.abort(late)
         return None
 
     relation = Relation(fleet.n, TRACKER, asks)

@@ -64,6 +64,7 @@ class Flight(NamedTuple):
     faults_up: tuple[Faults, ...]  # of what each vehicle receives
     faults_down: tuple[Faults, ...]  # of what each vehicle sends, and then of what the tracker sends
     script: str | None = None  # the text of the mission script that gave the trajectory, or that flies the mission
+    script_name: str = "mission.py"  # its file's name
 
 
 TICK_US = 4000  # the vehicles speak at 250 Hz, or as often as control asks
@@ -115,6 +116,7 @@ def load(
     A script's course replaces [plan], [target] and, where no duration is given, the duration.
     """
     program: str | None = None
+    program_name = name
     if name.endswith(".py"):
         try:
             program = read_script(Path(name))
@@ -137,7 +139,7 @@ def load(
     try:
         flight = flight_of(scenario, source)
         if program is not None:
-            return _programmed(flight, program)
+            return _programmed(flight, program)._replace(script_name=Path(program_name).name)
         return flight if script is None else _by_script(flight, script, duration_s)
     except CourseError as error:
         raise ScenarioError(str(error)) from None

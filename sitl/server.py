@@ -302,7 +302,7 @@ class Server:
                     self._seen_us = now  # the controller has seen this tick and has nothing more to say to it
                 elif isinstance(value, Timesync) and value.tc1 == 0:
                     answer = encode(Timesync(now * 1000, value.ts1))
-                    self.link.put(frame.port, tracker.SYSTEM, tracker.COMPONENT, answer, frame.address)
+                    self.link.put(frame.port, tracker.SYSTEM, tracker.COMPONENT, answer)
                 continue
             due = now + self.settings.tick_us
             if isinstance(value, AttitudeTarget) and (frame.system, frame.component) == CONTROLLER:

@@ -110,11 +110,13 @@ def strangers(minutes: float, offset: int, seed: int = 1, scenario: str = "paper
         assert quiet["passed"], quiet["reason"]
         assert beset["passed"], beset["reason"]
         same = ("criteria", "final_position_error_m", "max_psi", "messages_lost", "messages_late", "flown_s")
+        for topic in COMPARED:
+            ours, theirs = ([r for r in log.get(topic, []) if b"stranger" not in r[1]] for log in logs)
+            first = next((k for k, pair in enumerate(zip(ours, theirs, strict=False)) if pair[0] != pair[1]), None)
+            where = f"from its row {first} on, {ours[first][0] * 1e-9:.3f} s" if first is not None else "in its length"
+            assert theirs == ours, f"{topic} differs from the undisturbed flight's {where} ({logs[1].get('/event')})"
         for key in same:
             assert quiet[key] == beset[key], f"{key}: {quiet[key]} undisturbed, {beset[key]} among strangers"
-        for topic, rows in logs[0].items():
-            theirs = [r for r in logs[1][topic] if b"stranger" not in r[1]]
-            assert theirs == rows, f"{topic} differs from the undisturbed flight's"
         kinds = len(OURS) + len(FOREIGN)
         assert len(sent) == kinds, f"{len(sent)} of {kinds} kinds were sent"
         return {

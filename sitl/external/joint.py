@@ -275,7 +275,7 @@ class JointServer:
         for frame in self.link.poll(0.0):
             if isinstance(frame.value, Timesync) and frame.value.tc1 == 0:
                 answer = encode(Timesync(self.now_us * 1000, frame.value.ts1))
-                self.link.put(frame.port, tracker.SYSTEM, tracker.COMPONENT, answer, frame.address)
+                self.link.put(frame.port, tracker.SYSTEM, tracker.COMPONENT, answer)
                 self.link.flush()
 
     # -- what happens --------------------------------------------------------------------------------------------------
