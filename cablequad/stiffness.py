@@ -3,13 +3,33 @@
 import numpy as np
 from scipy import linalg
 
+from cablequad.linear import EquilibriumError, linearize
 from cablequad.system import System
 
+LEAST_STEP_US = 4  # a system that needs a shorter physics step is not simulated
 STABLE = 0.5  # omega h: RK4 is stable up to 2.8 and accurate well below 1
 
 
 def stiffest_mode(system: System) -> float:
-    """rad/s of the fastest link mode of any cable with its ends held, under the tension of a hanging load."""
+    """rad/s of the fastest mode of the load, its vehicles and their cables about rest; of the cables alone, with their
+
+    ends held and equal shares of the load, where nothing hangs at rest.
+    """
+    try:
+        M, G, _ = linearize(system)
+    except EquilibriumError:
+        return _stiffest_of_the_cables(system)
+    lengths = [system.length[i, j] for i, k in enumerate(system.n_links.tolist()) for j in range(k) for _ in "xy"]
+    rows = np.concatenate([np.ones(6), lengths])[:, None]  # which make both symmetric
+    M, G = rows * M, rows * G
+    try:
+        squares = linalg.eigh(0.5 * (G + G.T), 0.5 * (M + M.T), eigvals_only=True)
+    except linalg.LinAlgError:  # masses are too far apart for the numbers
+        return _stiffest_of_the_cables(system)
+    return float(np.sqrt(max(float(np.abs(squares).max()), 1e-12)))
+
+
+def _stiffest_of_the_cables(system: System) -> float:
     fastest = 0.0
     for i in range(len(system.m)):
         k = int(system.n_links[i])

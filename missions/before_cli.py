@@ -18,6 +18,7 @@ from missions.options import (
     ScenarioArgument,
     backend,
     load,
+    refuse,
 )
 
 
@@ -37,6 +38,7 @@ def check(
     console = Console(width=None if sys.stdout.isatty() else 120, highlight=False, quiet=as_json)
     try:
         flight = load(scenario, None, None)
+        refuse(flight, as_json)
         s = flight.scenario
         console.print(f"[bold]{s.name}[/bold], law = {s.control.law}: {s.description}")
         result = examine(in_the_air(flight), quick)
@@ -61,6 +63,7 @@ def margins(
 
     try:
         flight = load(scenario, None, None)
+        refuse(flight, as_json)
         out.mkdir(parents=True, exist_ok=True)
         with working(f"{flight.scenario.name}: flying towards its margins", quiet=as_json):
             result = measure(in_the_air(flight))
@@ -96,6 +99,7 @@ def preflight(
     progress = Console(stderr=True, quiet=as_json or not sys.stderr.isatty())
     try:
         flight = load(scenario, None, None)
+        refuse(flight, as_json)
         out.mkdir(parents=True, exist_ok=True)
         name = flight.scenario.name
         with progress.status(name) as status:
@@ -155,6 +159,7 @@ def identify(
     who = backend(backend_name, firmware, launch)
     try:
         asked = load(scenario, None, None, firmware)
+        refuse(asked, as_json)
         if asked.scenario.mission is None or asked.scenario.mission.start != "ground":
             usage(
                 f"scenario {asked.scenario.name}: vehicles take off from the ground to be identified; add [ground] "

@@ -26,6 +26,7 @@ from missions.options import (
     UnsignedOption,
     backend,
     load,
+    refuse,
 )
 
 if TYPE_CHECKING:
@@ -102,6 +103,7 @@ def fly(
         usage(f"--duration: {duration} given; seconds above 0 are needed")
     try:
         flight = load(scenario, duration, seed, firmware, script)
+        refuse(flight, as_json)
         key = None if signing_key is None else read_key(signing_key)
         ends = tuple(Endpoint.parse(url) for url in connect or ())
         options = Options(ends, out, pace, port_offset, configure or not ends, key, accept_unsigned, live, who, launch)

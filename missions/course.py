@@ -100,7 +100,7 @@ class Course:
 def course_of(script: Path, start: list[float], limits: Limits) -> Trajectory:
     """What a script's `mission(course)` describes. Raises CourseError naming the script, the line and what is wrong."""
     try:
-        source = script.read_text(encoding="utf-8")
+        source = script.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         why = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
         raise CourseError(f"script {script}: {why}; give a Python file with mission(course)") from None

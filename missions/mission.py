@@ -118,13 +118,15 @@ def plan_of(flight: Flight) -> MissionPlan:
     limits = {phase: m.limits_s.get(phase.value, RULES[phase].limit_s) for phase in Phase}
     return MissionPlan(
         rest, stands, hangs, target, route, scenarios.limits(s), m.lift_m, m.slack, m.pretension, m.lift_speed_m_s,
-        m.set_down_speed_m_s, m.take_off_speed_m_s, limits, guards(flight), _fence(flight, m.fence_m), m.battery,
+        m.set_down_speed_m_s, m.take_off_speed_m_s, limits, guards(flight), fence(flight), m.battery,
         m.hooks, m.protect, m.start == "air", m.hold_s,
     )  # fmt: skip
 
 
-def _fence(flight: Flight, given: list[list[float]] | None) -> np.ndarray:
+def fence(flight: Flight) -> np.ndarray:
     """(2, 3) m: the lowest and the highest corner of where load and vehicles may be."""
+    mission = flight.scenario.mission
+    given = None if mission is None else mission.fence_m
     if given is not None:
         corners = np.array(given)
         return np.array([corners.min(axis=0), corners.max(axis=0)])

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from missions.exits import usage
+from missions.exits import fail, usage
 
 if TYPE_CHECKING:
     from missions.scenario import Flight
@@ -84,3 +84,18 @@ def backend(name: str, firmware: str | None, launch: Path | None) -> "Backend":
     if name in KINDS and firmware not in (None, "auto", KINDS[name]):
         usage(f"--firmware {firmware} contradicts --backend {name}; leave it out, or write auto")
     return name
+
+
+def refuse(flight: "Flight", as_json: bool) -> None:
+    """End as a failure, with one line, where a flight cannot be flown as it is described."""
+    import json
+
+    from missions.feasibility import obstacles
+
+    found = obstacles(flight)
+    if not found:
+        return
+    reason = f"cannot fly: {'; '.join(found)}"
+    if as_json:
+        print(json.dumps({"scenario": flight.scenario.name, "passed": False, "reason": reason, "cannot_fly": found}))
+    fail(f"{flight.scenario.name}: {reason}")

@@ -86,7 +86,7 @@ def text(name: str) -> str:
         hint = f"; did you mean {near[0]}?" if near else f"; shipped: {', '.join(names())}"
         raise ScenarioError(f"scenario {name!r}: neither a shipped scenario nor a TOML file{hint}")
     try:
-        return path.read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8-sig")  # with or without a byte order mark
     except (OSError, UnicodeDecodeError) as error:
         why = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
         raise ScenarioError(f"scenario {name}: {why}; give a shipped name or the path of a TOML file") from None
@@ -139,12 +139,33 @@ def load(
     try:
         flight = flight_of(scenario, source)
         if program is not None:
-            return _programmed(flight, program)._replace(script_name=Path(program_name).name)
-        return flight if script is None else _by_script(flight, script, duration_s)
+            flight = _programmed(flight, program)._replace(script_name=Path(program_name).name)
+        elif script is not None:
+            flight = _by_script(flight, script, duration_s)
+        return _flyable(flight, duration_s is not None)
     except CourseError as error:
         raise ScenarioError(str(error)) from None
     except ValueError as error:
         raise ScenarioError(f"scenario {name}: {error}") from None
+
+
+def _flyable(flight: Flight, asked: bool) -> Flight:
+    """The flight, with a note for every setting without effect. Raises ValueError where its plan has no room.
+
+    `asked`: its duration was asked for beside the scenario, and may cut the plan short.
+    """
+    from missions.feasibility import misplaced, without_effect  # here, as it looks at flights
+
+    s, plan = flight.scenario, flight.trajectory.duration
+    if flight.script is None or s.mission is None:
+        for line in misplaced(flight):
+            raise ValueError(line)
+        if plan > s.duration_s and not asked:
+            raise ValueError(
+                f"duration_s: {s.duration_s:g} given; [plan] takes {plan:.3g} s to its end, within speed_m_s = "
+                f"{s.plan.speed_m_s:g} and the other limits"
+            )
+    return flight._replace(notes=[*flight.notes, *without_effect(s)])
 
 
 def restored(resolved: str, source: str, script: str | None) -> Flight:
@@ -180,7 +201,7 @@ def _by_script(flight: Flight, script: Path, duration_s: float | None) -> Flight
     target = TargetTable(position_m=end.x0.tolist(), yaw_deg=math.degrees(float(end.yaw[0])))
     seconds = duration_s if duration_s is not None else math.ceil(course.duration + SETTLE_S)
     changed = s.model_copy(update={"target": target, "duration_s": seconds})
-    return flight._replace(scenario=changed, trajectory=course, script=script.read_text(encoding="utf-8"))
+    return flight._replace(scenario=changed, trajectory=course, script=script.read_text(encoding="utf-8-sig"))
 
 
 def weights(flight: Flight) -> Weights:
@@ -217,6 +238,11 @@ def design(flight: Flight) -> Design:
         return law(flight.system, flight.airframe, weights(flight), flight.control_us * 1e-6, c.delay_ticks)
     except (EquilibriumError, DesignError) as error:
         raise ScenarioError(f"scenario {flight.scenario.name}: {error}") from None
+    except (np.linalg.LinAlgError, ArithmeticError) as error:
+        raise ScenarioError(
+            f"scenario {flight.scenario.name}: control: no gains can be computed ({error}); masses, lengths or rates "
+            "are out of proportion"
+        ) from None
 
 
 def rotation_deg(roll_pitch_yaw: list[float]) -> np.ndarray:

@@ -223,7 +223,7 @@ class _Driven:
 def read_script(path: Path) -> str:
     """A script's text. Raises ScriptError."""
     try:
-        return path.read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         why = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
         raise ScriptError(f"script {path}: {why}; give a Python file with async def main(fleet)") from None

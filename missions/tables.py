@@ -46,7 +46,7 @@ class CableTable(_Table):
     """[cable]"""
 
     link_masses_kg: Annotated[list[Positive], Field(min_length=1)]
-    link_lengths_m: Annotated[list[Positive], Field(min_length=1)]
+    link_lengths_m: Annotated[list[Annotated[Positive, Field(ge=1e-3)]], Field(min_length=1)]
     drag_area_m2: NotNegative = 0.0  # C_d A of the whole cable, in wind
 
     @model_validator(mode="after")
