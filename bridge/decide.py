@@ -18,6 +18,7 @@ from cablequad.pilot import Measurement, Sample, first_memory, tick
 from cablequad.state import positions
 from cablequad.trajectory import Reference
 
+PART = "flown for"  # how the reason begins where only a part of a plan was asked for
 OLD_S = 0.2  # a vehicle's word of where it is
 
 
@@ -26,6 +27,7 @@ class Plan(NamedTuple):
 
     reference: Callable[[float], Reference]
     duration: float  # s
+    whole_s: float = 0.0  # what its way takes; longer than `duration` where only a part was asked for
 
 
 class Decided(NamedTuple):
@@ -98,8 +100,12 @@ class PlanDecider:
         return UNSUPPORTED
 
     def over(self, sample: Sample | None) -> tuple[bool, str] | None:
-        ended = sample is not None and self._fleet.flying and sample.t >= self._plan.duration - 1e-9
-        return (True, "plan flown to its end") if ended else None
+        plan = self._plan
+        if sample is None or not self._fleet.flying or sample.t < plan.duration - 1e-9:
+            return None
+        if plan.whole_s > plan.duration:
+            return False, f"{PART} {plan.duration:g} s of a plan of {plan.whole_s:.3g} s: not judged at its end"
+        return True, "plan flown to its end"
 
 
 class MissionDecider:

@@ -22,7 +22,8 @@ from cablequad.pilot import Sample
 
 PROCESS_ANYWAY_S = 0.5  # wall clock: frames that complete no state are acted on after this long all the same
 SILENT_S = 3.0  # wall clock without a single frame
-HOLD_S = 6.0  # wall clock for the vehicles to take over at the end
+HOLD_S = 6.0  # for the vehicles to take over at the end
+STALL_S = 600.0  # wall clock, that a simulator which is alive may stand still
 SENDER = attrgetter("system")
 
 
@@ -32,6 +33,16 @@ class Outcome(NamedTuple):
     completed: bool  # the plan was flown to its end
     interrupted: bool  # by the user
     reason: str
+    untested: bool = False  # the computer, not the flight, ended it
+
+
+class Patience(NamedTuple):
+    """How long a flight waits for others, and by which clock."""
+
+    connect_s: float  # until everybody has been heard
+    lockstep: bool = False  # the vehicles' clock waits for us: nothing but it decides, however slow the computer is
+    simulated: bool = False  # the vehicles are a simulator's that is alive as long as nobody says otherwise
+    stall_s: float = STALL_S  # wall clock without a frame, after which a simulator in lockstep is given up
 
 
 class Timing(NamedTuple):
@@ -75,10 +86,10 @@ class _Flight:
 
     def __init__(
         self, link: Link, fleet: Fleet, decider: Decider, loop: Loop, record: Record, channels: Channels,
-        relation: Relation, places: Mapping[int, tuple[int, Address]],
+        relation: Relation, places: Mapping[int, tuple[int, Address]], patience: Patience,
     ) -> None:  # fmt: skip
         self.link, self.fleet, self.decider, self.record = link, fleet, decider, record
-        self.loop, self.relation = loop, relation
+        self.loop, self.relation, self.patience = loop, relation, patience
         self.gate = Gate(fleet.n, TRACKER, loop.period_ms, loop.sensing)
         self.channels = channels
         self.sources = Sources(fleet.n, places)
@@ -105,6 +116,10 @@ class _Flight:
         """Seconds since the release on the vehicles' clock; negative before."""
         released = self.fleet.released_at
         return -1.0 if released is None else self.now_us * 1e-6 - released
+
+    def waited_s(self, begun: float) -> float:
+        """Since the wall clock showed `begun`; in lockstep what the vehicles' clock shows."""
+        return self.now_us * 1e-6 if self.patience.lockstep else self.link.now() - begun
 
     def step(self) -> Sample | None:
         """Take what has come in; answer the tick that it completes, if it does."""
@@ -144,7 +159,8 @@ class _Flight:
                 tracked = None if tracked == self.now_us else tracked
             boot_ms = self.gate.open()
         self._ask_time(arrived)
-        stale = bool(self.pending) and arrived - self.pending_since >= PROCESS_ANYWAY_S
+        slow = not self.patience.lockstep and bool(self.pending)
+        stale = slow and arrived - self.pending_since >= PROCESS_ANYWAY_S
         if tracked is None and (sample is not None or not stale):
             return sample
         self.now_us = max(self.now_us, tracked or 0)
@@ -319,8 +335,8 @@ def fly(
     decider: Decider,
     loop: Loop,
     record: Record,
-    connect_timeout_s: float,
-    watch: Callable[[str, Sample | None], str | None],
+    patience: Patience,
+    watch: Callable[[str, Sample | None, float], str | None],
     channels: Channels,
     relation: Relation,
     places: Mapping[int, tuple[int, Address]] | None = None,
@@ -328,30 +344,30 @@ def fly(
     """Bring the fleet up, fly what `decider` decides, leave every vehicle holding.
 
     Never raises for what vehicles or users do.
-    `watch` is called after every decision with the phase and the sample (None while nothing is heard); what it returns
-    ends the run with that reason. `channels` fail the frames of the systems they are for, `relation` maps what vehicles
-    say into the tracker's time and frame. `places` says on which port and from where each system speaks, where that is
-    known beforehand.
+    `watch` is called after every decision with the phase, the sample (None while nothing is heard) and for how long
+    nothing came (s of the wall clock); what it returns ends the run with that reason. `channels` fail the frames of the
+    systems they are for, `relation` maps what vehicles say into the tracker's time and frame. `places` says on which
+    port and from where each system speaks, where that is known beforehand.
     """
-    flight = _Flight(link, fleet, decider, loop, record, channels, relation, places or {})
+    flight = _Flight(link, fleet, decider, loop, record, channels, relation, places or {}, patience)
     begun = link.now()
-    interrupted, completed, reason = False, False, ""
+    interrupted, completed, untested, reason = False, False, False, ""
     try:
         while not reason:
             sample = flight.step()
             ended = decider.over(sample)
             waiting = fleet.unheard()
-            if waiting and link.now() - begun > connect_timeout_s:
+            if waiting and flight.waited_s(begun) > patience.connect_s:
                 who = ", ".join(waiting)
-                reason = f"{who}: nothing heard within {connect_timeout_s:g} s; is it running and sending here?"
-            elif flight.quiet_s > SILENT_S and not waiting:
-                reason = f"every vehicle is silent since t = {flight.now_us * 1e-6:.2f} s of their clock"
+                reason = f"{who}: nothing heard within {patience.connect_s:g} s; is it running and sending here?"
             elif fleet.failure is not None:
                 reason = fleet.failure
             elif ended is not None:
                 completed, reason = ended
             else:
-                reason = watch(decider.phase, sample) or ""
+                reason = watch(decider.phase, sample, flight.quiet_s) or ""
+            if not reason and not waiting:
+                untested, reason = _silence(flight)
     except KeyboardInterrupt:
         interrupted, reason = True, "interrupted by the user"
     timing = flight.timing()
@@ -361,16 +377,30 @@ def fly(
     timing = timing._replace(
         unread=len(flight.pending), foreign=flight.sources.foreign, places=frozenset(flight.routes.values())
     )
-    return Outcome(completed, interrupted, reason), timing
+    return Outcome(completed, interrupted, reason, untested), timing
+
+
+def _silence(flight: _Flight) -> tuple[bool, str]:
+    """Whether a silence of all ends the flight untested, and why it ends it; nothing where it does not."""
+    patience, t = flight.patience, flight.now_us * 1e-6
+    if flight.quiet_s <= (patience.stall_s if patience.lockstep else SILENT_S):
+        return False, ""
+    if patience.lockstep:
+        where = f"at t = {t:.2f} s of the vehicles' clock"
+        return True, f"not tested: the simulator stands still {where} for {patience.stall_s:g} s"
+    if patience.simulated:
+        return True, f"not tested: the computer was too slow at t = {t:.2f} s of the vehicles' clock"
+    return False, f"every vehicle is silent since t = {t:.2f} s of their clock"
 
 
 def _let_go(flight: _Flight) -> None:
     """Keep answering until every vehicle holds by itself, for a bounded time."""
     fleet, link = flight.fleet, flight.link
-    deadline = link.now() + HOLD_S
+    begun, started = link.now(), flight.now_us * 1e-6
     fleet.hold(flight.now_us * 1e-6)
+    first = started if flight.patience.lockstep else 0.0
     try:
-        while not fleet.at_rest and link.now() < deadline and flight.quiet_s < SILENT_S:
+        while not fleet.at_rest and flight.waited_s(begun) < first + HOLD_S and not _silence(flight)[1]:
             flight.step()
         if (
             not fleet.at_rest

@@ -106,7 +106,10 @@ def largest_loss(design: Design, airframe: Airframe, period: float, delay: int) 
     if np.abs(np.linalg.eigvals(loop.A - loop.B @ K)).max() >= 1:
         return 0.0
     F, H = undelayed(loop, delay)
-    arrived, lost = _shrinking(*_jumps(F, H, K, delay))
+    try:
+        arrived, lost = _shrinking(*_jumps(F, H, K, delay))
+    except np.linalg.LinAlgError:  # it does not shrink even where everything arrives
+        return 0.0
     low, high = 0.0, 0.99
     if not _grows(arrived, lost, high):
         return high

@@ -33,6 +33,7 @@ def check(
     from missions.check import check as examine
     from missions.check import show
     from missions.drills import in_the_air
+    from missions.report import telling
     from missions.scenario import ScenarioError
 
     console = Console(width=None if sys.stdout.isatty() else 120, highlight=False, quiet=as_json)
@@ -40,14 +41,21 @@ def check(
         flight = load(scenario, None, None)
         refuse(flight, as_json)
         s = flight.scenario
-        console.print(f"[bold]{s.name}[/bold], law = {s.control.law}: {s.description}")
-        result = examine(in_the_air(flight), quick)
+        for note in flight.notes:
+            print(f"cablequad: {s.name}: {note}", file=sys.stderr)
+        with telling(s.name, quiet=as_json) as tell:
+            result = examine(in_the_air(flight), quick, tell)
     except ScenarioError as error:
         usage(str(error))
     if as_json:
         print(json.dumps(result))
     else:
+        if result["cannot_fly"]:
+            console.print(f"[bold]cannot fly:[/bold] {'; '.join(result['cannot_fly'])}")
+        console.print(f"[bold]{s.name}[/bold], law = {s.control.law}: {s.description}")
         show(result, console)
+    if result["cannot_fly"]:
+        fail(f"{s.name}: cannot fly: {'; '.join(result['cannot_fly'])}")
 
 
 def margins(
@@ -58,14 +66,15 @@ def margins(
     """How much delay, loss and wrong modelling the loop stands: predicted, and measured in simulated flights."""
     from missions.drills import in_the_air
     from missions.margins import measure, plot
-    from missions.report import margins_table, working
+    from missions.report import margins_table, telling
     from missions.scenario import ScenarioError
 
     try:
         flight = load(scenario, None, None)
         refuse(flight, as_json)
         out.mkdir(parents=True, exist_ok=True)
-        with working(f"{flight.scenario.name}: flying towards its margins", quiet=as_json):
+        with telling(flight.scenario.name, quiet=as_json) as tell:
+            tell("simulated flights towards its margins")
             result = measure(in_the_air(flight))
     except ScenarioError as error:
         usage(str(error))
@@ -92,22 +101,20 @@ def preflight(
     from rich.console import Console
 
     from missions import preflight as page
+    from missions.report import telling
     from missions.run import Options
     from missions.scenario import ScenarioError
 
     console = Console(width=None if sys.stdout.isatty() else 120, highlight=False, quiet=as_json)
-    progress = Console(stderr=True, quiet=as_json or not sys.stderr.isatty())
     try:
         flight = load(scenario, None, None)
         refuse(flight, as_json)
         out.mkdir(parents=True, exist_ok=True)
         name = flight.scenario.name
-        with progress.status(name) as status:
-            lines = list(
-                page.preflight(
-                    flight, Options(out=out, port_offset=port_offset), lambda text: status.update(f"{name}: {text}")
-                )
-            )
+        with telling(name, quiet=as_json) as tell:
+            for note in flight.notes:
+                tell(note)
+            lines = list(page.preflight(flight, Options(out=out, port_offset=port_offset), tell))
     except ScenarioError as error:
         usage(str(error))
     except OSError as error:

@@ -30,8 +30,9 @@ class Ready:
 class Failure:
     """The simulator cannot go on."""
 
-    def __init__(self, text: str) -> None:
-        self.text = text
+    def __init__(self, text: str, untested: bool = False) -> None:
+        """`untested`: the computer could not carry the flight out."""
+        self.text, self.untested = text, untested
 
 
 Message = Truth | Event

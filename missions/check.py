@@ -1,6 +1,7 @@
 """`cablequad check`: what can be said of a scenario before anything flies."""
 
 import math
+from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -21,6 +22,7 @@ from cablequad.stiffness import stiffest_mode
 from cablequad.trajectory import Reference, at
 from missions import scenario as scenarios
 from missions.batch import spread
+from missions.feasibility import strays
 from missions.scenario import Flight
 
 SETTLE_S, SETTLED_M, SETTLED_TILT = 15.0, 0.05, 0.02
@@ -46,8 +48,12 @@ DIRECTIONS = (
 )
 
 
-def check(flight: Flight, quick: bool) -> dict[str, Any]:
-    """Everything as plain values, ready for JSON. `quick` leaves out what needs many simulated flights."""
+def check(flight: Flight, quick: bool, tell: Callable[[str], None] = lambda _: None) -> dict[str, Any]:
+    """Everything as plain values, ready for JSON. `quick` leaves out what needs many simulated flights.
+
+    `tell` hears what is being done.
+    """
+    tell("the design")
     system, c = flight.system, flight.scenario.control
     design = scenarios.design(flight)
     period = flight.control_us * 1e-6
@@ -59,9 +65,12 @@ def check(flight: Flight, quick: bool) -> dict[str, Any]:
     # delay states at z = 0 have no continuous counterpart
     rates = np.log(poles[np.abs(poles) > 1e-9].astype(complex)) / period
     swinging = rates[np.abs(rates.imag) > 1e-6]
+    tell("the nominal flight")
     nominal = _nominal(design, flight)
+    tell("margins")
     out: dict[str, Any] = {
         "scenario": flight.scenario.name,
+        "cannot_fly": strays(np.array([float(np.linalg.norm(s.error.x[:3])) for s in nominal])),
         "law": c.law,
         "period_ms": flight.control_us * 1e-3,
         "equilibrium": {
@@ -98,8 +107,10 @@ def check(flight: Flight, quick: bool) -> dict[str, Any]:
             "initial_z1": float(np.linalg.norm(np.concatenate([nominal[0].error.x, nominal[0].error.x_dot]))),
         },
     }
+    tell("the certificate of Proposition 3")
     out["certificate"] = _certificate(flight, out["nominal_flight"], quick)
     if not quick:
+        tell("what settles in simulated flights")
         out["region_of_attraction"] = spread(partial(_reach, design, flight), range(len(DIRECTIONS)))
     return out
 

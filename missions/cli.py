@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from missions.before_cli import check, identify, margins, preflight
-from missions.exits import FAILED, INTERRUPTED, fail, usage
+from missions.exits import FAILED, INTERRUPTED, UNTESTED, fail, usage
 from missions.log_cli import log_app, report
 from missions.options import (
     BackendOption,
@@ -78,10 +78,14 @@ def fly(
     accept_unsigned: UnsignedOption = False,
     backend_name: BackendOption = "builtin",
     launch: LaunchOption = None,
+    stall_timeout: Annotated[
+        float, typer.Option(help="Seconds of wall clock that a simulator in lockstep may stand still.", min=1.0)
+    ] = 600.0,
 ) -> None:
     """Fly a scenario over MAVLink: start the vehicles (or connect to what is there), fly the plan, record, report.
 
-    Exit code 0 if the scenario's acceptance criteria hold, 1 if not, 2 for usage, 130 after Ctrl-C.
+    Exit code 0 if the scenario's acceptance criteria hold, 1 if not, 2 for usage, 3 if the computer could not carry it
+    out, 130 after Ctrl-C.
     """
     from bridge.link import Endpoint, LinkError
     from missions.keys import KeyFileError, read_key
@@ -106,7 +110,9 @@ def fly(
         refuse(flight, as_json)
         key = None if signing_key is None else read_key(signing_key)
         ends = tuple(Endpoint.parse(url) for url in connect or ())
-        options = Options(ends, out, pace, port_offset, configure or not ends, key, accept_unsigned, live, who, launch)
+        options = Options(
+            ends, out, pace, port_offset, configure or not ends, key, accept_unsigned, live, who, launch, stall_timeout
+        )
         with _progress(quiet=as_json) as progress:
             summary, interrupted = run(flight, options, progress)
     except (ScenarioError, LinkError, KeyFileError) as error:
@@ -121,7 +127,7 @@ def fly(
         raise typer.Exit(INTERRUPTED)
     if not summary.passed:
         print(f"cablequad: {summary.scenario}: {summary.reason}", file=sys.stderr)
-        raise typer.Exit(FAILED)
+        raise typer.Exit(FAILED if summary.tested else UNTESTED)
 
 
 @app.command()

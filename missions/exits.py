@@ -5,7 +5,7 @@ from typing import NoReturn
 
 import typer
 
-FAILED, USAGE, INTERRUPTED = 1, 2, 130
+FAILED, USAGE, UNTESTED, INTERRUPTED = 1, 2, 3, 130
 
 
 def usage(text: str) -> NoReturn:
@@ -18,3 +18,9 @@ def fail(text: str) -> NoReturn:
     """End as a command that could not do what was asked."""
     print(f"cablequad: {text}", file=sys.stderr)
     raise typer.Exit(FAILED)
+
+
+def untested(text: str) -> NoReturn:
+    """End as a command that the computer could not carry out."""
+    print(f"cablequad: {text}", file=sys.stderr)
+    raise typer.Exit(UNTESTED)

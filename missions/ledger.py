@@ -55,7 +55,7 @@ class Ledger:
         self._slack: set[int] = set()
         self._shapes: Shapes = ()
         self._smallest_N = math.inf
-        self._following = Following(target_m)
+        self._following = Following(target_m, standing is None)
         self._recent: list[tuple[list[int], State]] = []  # the truth that was taken in last
         self._true: deque[tuple[int, list[Message]]] = deque()  # what is to be written of it
         self._ground = None if standing is None else OnGround(standing)

@@ -132,7 +132,7 @@ def report(
     from logs import figures, page
     from logs import video as videos
     from logs.reader import read
-    from missions.report import working
+    from missions.report import telling
 
     folder = out or run.parent
     if not folder.is_dir():
@@ -149,7 +149,8 @@ def report(
             videos.save(loaded, video, video_seconds, video_speed)
         return target
 
-    with working(f"{run.name}: drawing", quiet=False):
+    with telling(run.name, quiet=False) as tell:
+        tell("drawing")
         target = _of_log(write, run)
     print(target)
     if video is not None:

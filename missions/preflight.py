@@ -48,7 +48,7 @@ def preflight(flight: Flight, options: Options, tell: Callable[[str], None]) -> 
     told: list[tuple[Drill, list[Future[Summary]]]] = []
     tell("design")
     in_air, ground = in_the_air(flight), rehearsal(flight)
-    lines = check(in_air, quick=True)  # before anything flies: what cannot be designed is not flown
+    lines = check(in_air, True, tell)  # before anything flies: what cannot be designed is not flown
     with ProcessPoolExecutor(LANES, multiprocessing.get_context("spawn")) as pool:
         try:
             nominal, flights = pool.submit(_nominal, flight, options), 0
@@ -81,6 +81,10 @@ def _nominal(flight: Flight, options: Options) -> Summary:
 
 
 def _design(c: dict[str, Any]) -> Iterator[Line]:
+    yield Line(
+        "design", "the plan, simulated without a wire", "no-go" if c["cannot_fly"] else "go",
+        "; ".join(c["cannot_fly"]) or "the load follows it",
+    )  # fmt: skip
     share = max(c["equilibrium"]["thrust_share"])
     yield Line(
         "design", "thrust at rest", "go" if share <= THRUST_SHARE else "no-go",

@@ -32,7 +32,7 @@ def ready(flight: Flight, design: Design, configure: bool, waits: bool = True) -
     period_s, sensing = flight.control_us * 1e-6, s.control.sensing
     fleet = Fleet(flight.airframe.max_thrust.tolist(), period_s, configure, sensing, grounded, airborne)
     if not grounded:
-        plan = Plan(lambda t: at(flight.trajectory, t), s.duration_s)
+        plan = Plan(lambda t: at(flight.trajectory, t), s.duration_s, flight.trajectory.duration)
         return Ready(fleet, PlanDecider(plan, fleet, loop, design), loop, None)
     mission = mission_of(flight, fleet, design, script_of(flight, waits))
     return Ready(fleet, MissionDecider(mission, loop, design), loop, mission)

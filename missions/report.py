@@ -1,8 +1,10 @@
 """What a flight shows on a terminal: progress while it goes, a table at its end."""
 
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
 from typing import Any
 
 from rich.console import Console
@@ -13,14 +15,22 @@ from rich.table import Table
 from missions.run import Progress
 from missions.summary import Summary
 
+LINE_S = 10.0  # wall clock, between lines that say how far something is
+
 
 class _Bar(Progress):
-    """A progress bar on the terminal's error stream."""
+    """A progress bar on the terminal's error stream, with what is being done before it moves."""
 
     def __init__(self, bar: Bar) -> None:
         self._bar = bar
         self._task: TaskID | None = None
+        self._doing: TaskID | None = None
         self._shown = -1.0
+
+    def doing(self, text: str) -> None:
+        if self._doing is None:
+            self._doing = self._bar.add_task(text, total=None)
+        self._bar.update(self._doing, description=text)
 
     def say(self, text: str) -> None:
         self._bar.console.print(text, highlight=False, markup=False, soft_wrap=True)
@@ -29,21 +39,127 @@ class _Bar(Progress):
         if t - self._shown < duration / 100 and t < duration:
             return
         self._shown = t
+        if self._doing is not None:
+            self._bar.remove_task(self._doing)
+            self._doing = None
         if self._task is None:
             self._task = self._bar.add_task("flying", total=duration)
         text = f"t = {t:5.2f} s   error {100 * error_m:7.2f} cm   {factor:4.1f} x real time"
         self._bar.update(self._task, completed=t, description=text)
 
 
+class _Lines(Progress):
+    """Plain lines on the error stream, for pipes and files: what is said, and how far the flight is now and then."""
+
+    def __init__(self) -> None:
+        self._next = 0.0
+        self._doing: str | None = None
+        self._since = 0.0
+
+    def say(self, text: str) -> None:
+        _line(text)
+
+    def doing(self, text: str) -> None:
+        if text != self._doing:
+            _line(text)
+            self._doing, self._since = text, time.monotonic()
+
+    def again(self) -> None:
+        """Say once more what is still being done."""
+        doing = self._doing
+        if doing is not None and time.monotonic() - self._since >= LINE_S:
+            _line(f"{doing} ({time.monotonic() - self._since:.0f} s)")
+
+    def flown(self, t: float, duration: float, error_m: float, factor: float) -> None:
+        now = time.monotonic()
+        self._doing = None
+        if self._next == 0.0:
+            self._next = now + LINE_S
+        if now >= self._next:
+            self._next = now + LINE_S
+            _line(f"flying: t = {t:.1f} of {duration:g} s, error {100 * error_m:.2f} cm, {factor:.1f} x real time")
+
+
+def _line(text: str) -> None:
+    """A line for whoever reads the error stream, at once, in what its encoding has."""
+    encoding = getattr(sys.stderr, "encoding", None) or "ascii"
+    print(f"cablequad: {text}".encode(encoding, "replace").decode(encoding), file=sys.stderr, flush=True)
+
+
 @contextmanager
 def progress(quiet: bool) -> Iterator[Progress]:
-    """A live bar on a terminal; silence in a pipe or when `quiet`."""
-    if quiet or not sys.stderr.isatty():
+    """What a flight says on the error stream: a live bar on a terminal, plain lines in a pipe, nothing when `quiet`."""
+    if quiet:
         yield Progress()
+    elif sys.stderr.isatty():
+        console = Console(stderr=True)
+        with Bar(TextColumn("{task.description}"), BarColumn(bar_width=30), console=console) as bar:
+            yield _Bar(bar)
+    else:
+        lines, ended = _Lines(), threading.Event()
+
+        def again() -> None:
+            while not ended.wait(LINE_S):
+                lines.again()
+
+        thread = threading.Thread(target=again, name="progress", daemon=True)
+        thread.start()
+        try:
+            yield lines
+        finally:
+            ended.set()
+
+
+@contextmanager
+def telling(name: str, quiet: bool) -> Iterator[Callable[[str], None]]:
+    """A function that says what is being done: beside a spinner on a terminal, as lines in a pipe.
+
+    What takes long is said again now and then with the time that it has taken.
+    """
+    if quiet:
+        yield lambda _: None
         return
+    doing = _Doing(name)
     console = Console(stderr=True)
-    with Bar(TextColumn("{task.description}"), BarColumn(bar_width=30), console=console) as bar:
-        yield _Bar(bar)
+    spinner = console.status(name) if sys.stderr.isatty() else None
+    ended = threading.Event()
+
+    def tell(text: str) -> None:
+        doing.now(text)
+        if spinner is not None:
+            spinner.update(doing.text())
+        else:
+            _line(doing.text())
+
+    def again() -> None:
+        while not ended.wait(LINE_S if spinner is None else 1.0):
+            if spinner is not None:
+                spinner.update(doing.text(True))
+            elif doing.what:
+                _line(doing.text(True))
+
+    thread = threading.Thread(target=again, name="progress", daemon=True)
+    thread.start()
+    try:
+        with spinner if spinner is not None else nullcontext():
+            yield tell
+    finally:
+        ended.set()
+        thread.join()
+
+
+class _Doing:
+    """What is being done, and since when."""
+
+    def __init__(self, name: str) -> None:
+        self._name, self.what, self._since = name, "", time.monotonic()
+
+    def now(self, what: str) -> None:
+        self.what, self._since = what, time.monotonic()
+
+    def text(self, how_long: bool = False) -> str:
+        took = time.monotonic() - self._since
+        return f"{self._name}: {self.what}" + (f" ({took:.0f} s)" if how_long and took >= 2.0 else "")
 
 
 def table(s: Summary) -> None:
@@ -56,7 +172,8 @@ def table(s: Summary) -> None:
         sign = ">=" if name.startswith("min_") else "<="
         return f"{sign} {asked[name]['limit']:g} {'ok' if asked[name]['holds'] else 'MISSED'}"
 
-    out = Table(title=f"{s.scenario}: {'passed' if s.passed else 'FAILED'}", title_justify="left", show_header=False)
+    verdict = "passed" if s.passed else "FAILED" if s.tested else "NOT TESTED"
+    out = Table(title=f"{s.scenario}: {verdict}", title_justify="left", show_header=False)
     out.add_column(style="bold")
     out.add_column(justify="right")
     out.add_column()
@@ -99,16 +216,6 @@ def table(s: Summary) -> None:
 
 def _of(value: float | None, form: str) -> str:
     return "-" if value is None else form.format(value)
-
-
-@contextmanager
-def working(text: str, quiet: bool) -> Iterator[None]:
-    """A spinner on a terminal; silence in a pipe or when `quiet`."""
-    if quiet or not sys.stderr.isatty():
-        yield
-        return
-    with Console(stderr=True).status(text):
-        yield
 
 
 def margins_table(result: dict[str, Any]) -> None:

@@ -16,8 +16,8 @@ from types import FrameType
 import numpy as np
 
 from bridge.faults import Channel, Tally, generator
-from bridge.fleet import TRACKER
-from bridge.fly import Outcome, Timing, fly
+from bridge.fleet import TRACKER, Fleet
+from bridge.fly import SILENT_S, STALL_S, Outcome, Patience, Timing, fly
 from bridge.link import Address, Endpoint, Link, LinkError, Received
 from bridge.phases import CARRIED, FLY
 from bridge.ports import TRACKER_PORTS, vehicle_ports
@@ -52,6 +52,7 @@ from sitl.settings import HOST
 SWITCH_S = 0.0005  # the writer thread gives the interpreter back to the control loop this often
 
 
+WAITS_S = 5.0  # wall clock, between lines that say what is waited for
 BOOT_S = 120.0  # wall clock, for autopilots to come up
 
 SHOWN = frozenset(
@@ -74,6 +75,7 @@ class Options:
     live: bool = False  # shown in the viewer that is open
     backend: Backend = "builtin"  # who flies the vehicles
     launch: Path | None = None  # the autopilots' binary or build folder; None: somebody else starts them
+    stall_timeout_s: float = STALL_S  # wall clock, that a simulator in lockstep may stand still
 
 
 class Progress:
@@ -81,6 +83,9 @@ class Progress:
 
     def say(self, text: str) -> None:
         """A line for the user."""
+
+    def doing(self, text: str) -> None:
+        """What is being done, or waited for, until something else is."""
 
     def flown(self, t: float, duration: float, error_m: float, factor: float) -> None:
         """How far the flight is."""
@@ -114,13 +119,15 @@ def run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary, 
     if options.backend != "builtin":
         flight = without_hooks(flight)
     for note in flight.notes:
-        progress.say(note)
+        progress.say(f"note: {note}")
     for motion in reach(flight.system).missing:
         progress.say(f"{motion} is out of reach of the vehicles' forces; it is left out, the rest is flown")
     try:
         return _run(flight, options, progress)
-    except (LinkError, RecorderError) as error:
+    except RecorderError as error:
         return _nothing(flight, str(error)), False
+    except LinkError as error:  # nothing was flown: a port is in use
+        return _nothing(flight, str(error), untested=True), False
 
 
 def _run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary, bool]:
@@ -137,7 +144,7 @@ def _run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary,
     try:
         external = options.backend != "builtin"
         lockstep = math.isinf(options.speed) and not options.connect and not external
-        patience = max(flight.scenario.link.connect_timeout_s, BOOT_S if external else 0.0)
+        connect_s = max(flight.scenario.link.connect_timeout_s, BOOT_S if external else 0.0)
         who = "connected" if options.connect else options.backend
         scribe = Scribe()
         starts = _starts(flight, options) if external else []
@@ -148,7 +155,7 @@ def _run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary,
                 accept_unsigned_telemetry=options.accept_unsigned_telemetry,
             )  # fmt: skip
             simulator = Simulator(settings(flight, serving), scribe.truth_end)
-        progress.say("getting ready (the first start on a machine compiles the model: a minute or two)")
+        progress.doing("getting ready (the first start on a machine compiles the model, which takes minutes)")
         design = scenarios.design(flight)  # while the others are on their way
         beginning = opening(flight, design, options.out, lockstep, bool(options.connect), who)
         scribe.open(beginning)
@@ -163,21 +170,25 @@ def _run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary,
             progress.say("start the autopilots:")
             for line in start_lines(starts, beginning.path.with_suffix("")):
                 progress.say(f"  {line}")
+        progress.doing("waiting for the log's process")
         scribe.wait_ready()
         watch = _Watch(scribe, _track(flight), progress.say)
         if simulator is not None and lockstep:
             pin(-2)
         sys.setswitchinterval(SWITCH_S)
+        progress.doing("waiting for the simulator (the first start on a machine compiles the model)")
         with _interrupts() as interrupted:
             if simulator is not None and not simulator.wait_ready(lambda: not interrupted()):
-                outcome = Outcome(False, interrupted(), simulator.failure or "interrupted by the user")
+                reason = simulator.failure or "interrupted by the user"
+                outcome = Outcome(False, interrupted(), reason, simulator.untested)
                 timing = NO_TIME
             else:
                 few_collections()
                 if simulator is not None:
                     simulator.go()
                 outcome, timing = _fly(
-                    flight, prepared, link, watch, simulator, interrupted, progress, patience,
+                    flight, prepared, link, watch, simulator, interrupted, progress,
+                    Patience(connect_s, lockstep, simulator is not None, options.stall_timeout_s),
                     external or bool(options.connect), lambda: None if autopilots is None else autopilots.ended(),
                     options.port_offset,
                 )  # fmt: skip
@@ -199,7 +210,7 @@ def _run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary,
         summary = summarize(
             flight.scenario.name, flight.scenario.acceptance, watch.track, outcome, timing,
             link.counters.sent, lost, missed, n, judged.followed, grounded, mark,
-            flight.script is not None,
+            flight.script is not None, mission is None and flight.trajectory.duration > flight.scenario.duration_s,
         )  # fmt: skip
         wire = _wire(link, simulator, watch.tallies, timing.unread, timing.foreign)
         taken = wire["down_lost"] + wire.get("up_lost", 0)
@@ -238,7 +249,7 @@ def _starts(flight: Flight, options: Options) -> list[Launch]:
 
 
 def _track(flight: Flight) -> Track:
-    return Track(tuple(flight.scenario.target.position_m))
+    return Track(tuple(flight.scenario.target.position_m), flight.scenario.mission is None)
 
 
 def _wire(link: Link, simulator: Simulator | None, tallies: list[Tally], unread: int, foreign: int) -> dict[str, int]:
@@ -274,7 +285,7 @@ def _fly(
     simulator: Simulator | None,
     interrupted: Callable[[], bool],
     progress: Progress,
-    connect_timeout_s: float,
+    patience: Patience,
     asks: bool,
     ended: Callable[[], str | None],
     port_offset: int,
@@ -289,9 +300,12 @@ def _fly(
     }
     started: list[float] = []
 
-    def look(phase: str, sample: Sample | None) -> str | None:
+    told = _Waits(progress, fleet, patience)
+
+    def look(phase: str, sample: Sample | None, quiet_s: float) -> str | None:
         if interrupted():
             return "interrupted by the user"
+        told.look(quiet_s)
         if watch.scribe.error is not None:
             return watch.scribe.error
         if simulator is not None and simulator.failure is not None:
@@ -313,13 +327,42 @@ def _fly(
 
     relation = Relation(fleet.n, TRACKER, asks)
     outcome, timing = fly(
-        link, fleet, prepared.decider, prepared.loop, watch, connect_timeout_s, look, channels, relation,
+        link, fleet, prepared.decider, prepared.loop, watch, patience, look, channels, relation,
         {} if asks else _places(fleet.n, port_offset),
     )  # fmt: skip
     if mission is not None:
         mission.close()
     watch.tallies = [channel.tally for channel in channels.values()]
-    return outcome._replace(interrupted=outcome.interrupted or interrupted()), timing
+    untested = outcome.untested or (simulator is not None and simulator.untested)
+    return outcome._replace(interrupted=outcome.interrupted or interrupted(), untested=untested), timing
+
+
+class _Waits:
+    """Says what is waited for before the flight begins, and when the simulator stands still."""
+
+    def __init__(self, progress: Progress, fleet: Fleet, patience: Patience) -> None:
+        self._progress, self._fleet, self._patience = progress, fleet, patience
+        self._next = time.monotonic() + WAITS_S
+        self._still = False
+
+    def look(self, quiet_s: float) -> None:
+        """`quiet_s`: for how long nothing came, wall clock."""
+        if quiet_s > SILENT_S and not self._still and self._patience.simulated:
+            self._still = True
+            until = f" up to {self._patience.stall_s:g} s (--stall-timeout)" if self._patience.lockstep else ""
+            self._progress.say(
+                f"stall: nothing from the simulator for {SILENT_S:g} s; it is alive, and waited for{until}"
+            )
+        elif self._still and quiet_s == 0.0:
+            self._still = False
+            self._progress.say("stall: the simulator goes on")
+        if self._fleet.released_at is not None or time.monotonic() < self._next:
+            return
+        self._next = time.monotonic() + WAITS_S
+        unheard = [f"{who}: its first word" for who in self._fleet.unheard()]
+        waits = unheard or self._fleet.not_ready()
+        if waits:
+            self._progress.doing("waiting for " + "; ".join(waits[:4]) + (" ..." if len(waits) > 4 else ""))
 
 
 def _endpoints(n: int, options: Options) -> list[Endpoint]:
@@ -393,6 +436,6 @@ def _interrupts() -> Iterator[Callable[[], bool]]:
             signal.signal(number, handler)
 
 
-def _nothing(flight: Flight, reason: str) -> Summary:
-    none = Outcome(False, False, reason)
+def _nothing(flight: Flight, reason: str, untested: bool = False) -> Summary:
+    none = Outcome(False, False, reason, untested)
     return summarize(flight.scenario.name, flight.scenario.acceptance, _track(flight), none, NO_TIME, 0, 0, 0, 0)

@@ -40,7 +40,8 @@ WAIT_S = 0.06  # wall clock, that a decision waits for others at most
 AT_ONCE = 256  # entries that are written together, which costs less for each
 BATCH = 128  # entries that wait at most, where no tick is answered
 LATE_S = 0.5  # that a step may take in the gaps of the processors
-START_S = 60.0
+LOOK_S = 0.5  # wall clock, between looks at whether the process that an answer is waited for lives
+STALL_S = 600.0  # that it may stand still
 
 
 class Opening(NamedTuple):
@@ -95,7 +96,7 @@ class Scribe:
     def wait_ready(self) -> None:
         """Until the log is open. Raises RecorderError if it cannot be."""
         self.truth_end.close()
-        answer = self._answer(START_S)
+        answer = self._answer()
         if answer != "ready":
             raise RecorderError(str(answer))
 
@@ -126,7 +127,7 @@ class Scribe:
         self._put("perf", boot_us, turnaround_s, ticks)
         self.flush()
         if self.error is None and self._up.poll():
-            self.error = str(self._answer(0.0))
+            self.error = str(self._answer())
 
     def flush(self) -> None:
         """Hand over what waits."""
@@ -143,7 +144,7 @@ class Scribe:
         self._put("truth ends", 0, whole)
         self.flush()
         nothing = Judged(math.inf, None)
-        answer = self._answer(START_S) if self.error is None else nothing
+        answer = self._answer() if self.error is None else nothing
         if isinstance(answer, Judged):
             return answer
         self.error = str(answer)
@@ -153,7 +154,7 @@ class Scribe:
         """Write everything out; the log's path. Where that failed, `error` says so."""
         self._put("finish", 0, dict(result))
         self.flush()
-        closing = self._answer(START_S)
+        closing = self._answer()
         self._process.join(5.0)
         if isinstance(closing, Closing):
             self.error = self.error or closing.error
@@ -180,13 +181,17 @@ class Scribe:
         except OSError:
             self.error = self.error or "the recording ended by itself"
 
-    def _answer(self, timeout_s: float) -> Any:
+    def _answer(self) -> Any:
+        """What the process says next, however long it takes; why it says nothing, where it has died or stands still."""
         try:
-            if self._up.poll(timeout_s):
-                return self._up.recv()
+            for _ in range(round(STALL_S / LOOK_S)):
+                if self._up.poll(LOOK_S):
+                    return self._up.recv()
+                if not self._process.is_alive() and not self._up.poll(0.0):
+                    return "the recording ended by itself"
         except (EOFError, OSError):
-            pass
-        return "the recording ended by itself"
+            return "the recording ended by itself"
+        return f"the recording has stood still for {STALL_S:g} s"
 
 
 def _encode_once(model: Model) -> None:

@@ -15,9 +15,10 @@ from missions.tracking import Followed, Following, Grounded
 class Track:
     """Figures that accumulate while flying; only what happens between release and end counts."""
 
-    def __init__(self, target: tuple[float, ...]) -> None:
+    def __init__(self, target: tuple[float, ...], ends_there: bool = True) -> None:
+        """See Following."""
         self.last: Sample | None = None
-        self.following = Following(target)
+        self.following = Following(target, ends_there)
         self.max_psi = 0.0
         self.max_thrust_N = 0.0
         self.min_tension_N = np.inf
@@ -33,6 +34,11 @@ class Track:
     def tension(self, smallest_N: float) -> None:
         """Take the smallest tension of one instant."""
         self.min_tension_N = min(self.min_tension_N, smallest_N)
+
+
+OF_THE_END = frozenset(
+    {"position_error_m", "speed_m_s", "e_q", "psi", "settling_time_s", "mean_position_error_m"}
+)  # criteria that a flight can only meet at its end
 
 
 class Criterion(NamedTuple):
@@ -81,6 +87,7 @@ class Summary(NamedTuple):
     max_tension_N: float | None = None
     min_separation_m: float | None = None  # between vehicles
     vehicles_crashed: int | None = None
+    tested: bool = True  # False: the computer could not carry the flight out, which says nothing of it
 
 
 def criteria(limits: AcceptanceTable, s: Summary) -> list[Criterion]:
@@ -126,11 +133,12 @@ def summarize(
     grounded: Grounded | None = None,
     mark: tuple[float, float] | None = None,
     scripted: bool = False,
+    cut_short: bool = False,
 ) -> Summary:
     """The summary of a flight that ended with `outcome`; a criterion that does not hold is named in the reason.
 
     `true` is how the load really moved, where a simulator told it. `mark` is where a mission set it down last. What a
-    `scripted` mission never did is not asked of it.
+    `scripted` mission never did is not asked of it, nor what is of the end of one that was asked to be `cut_short`.
     """
     last = track.last
     moved = true or track.following.followed()
@@ -172,6 +180,7 @@ def summarize(
         ],
     )
     found = [c for c in criteria(limits, s) if not (scripted and c.measured is None)]
+    found = [c for c in found if not (cut_short and c.name in OF_THE_END)]
     failed = [c for c in found if not c.holds]
     reason = outcome.reason
     if outcome.completed and failed:
@@ -179,7 +188,10 @@ def summarize(
             f"{c.name} is {'not reached' if c.measured is None else f'{c.measured:.4g}'}, asked {c.limit:g}"
             for c in failed
         )
-    return s._replace(passed=outcome.completed and not failed, reason=reason, criteria=[c._asdict() for c in found])
+    return s._replace(
+        passed=outcome.completed and not failed, tested=not outcome.untested, reason=reason,
+        criteria=[c._asdict() for c in found],
+    )  # fmt: skip
 
 
 def _jitter(intervals_s: Sequence[float]) -> dict[str, float]:

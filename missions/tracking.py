@@ -18,7 +18,7 @@ LOW_M, HARD_M_S, TOPPLED, HIT_M = 0.05, 1.0, 0.5, 0.25
 class Followed(NamedTuple):
     """Figures of one flight; errors are of the load's position against its reference unless they say otherwise."""
 
-    final_m: float
+    final_m: float  # from the target, where the flight has one of its own to end at; else from the reference
     rms_m: float
     largest_m: float
     mean_last_m: float  # over the last 10 s
@@ -31,8 +31,9 @@ class Followed(NamedTuple):
 class Following:
     """Takes every decision of a flight: by the state that was true when it was made, or the measured one."""
 
-    def __init__(self, target: tuple[float, ...]) -> None:
-        self._target = target
+    def __init__(self, target: tuple[float, ...], ends_there: bool = True) -> None:
+        """`ends_there`: the flight is to end at `target` (3,) m; else, as a mission's, where its reference leads."""
+        self._target, self._ends_there = target, ends_there
         self._count = 0
         self._squares = self._largest = 0.0
         self._last: deque[tuple[float, float]] = deque()
@@ -52,8 +53,9 @@ class Following:
         self._last.append((t, error))
         while self._last[0][0] < t - LAST_S:
             self._sum -= self._last.popleft()[1]
-        self._final, self._speed = error, math.hypot(*v)
-        if math.dist(x, self._target) > SETTLED_M:
+        away = math.dist(x, self._target)
+        self._final, self._speed = away if self._ends_there else error, math.hypot(*v)
+        if away > SETTLED_M:
             self._settled = None
         elif self._settled is None:
             self._settled = t

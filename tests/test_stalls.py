@@ -1,0 +1,94 @@
+"""A computer that stands still decides nothing: in lockstep a stall of any process changes no flight and no log."""
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import pytest
+from conftest import Command, cablequad, flown, next_offset
+from strangers import COMPARED
+
+from logs.records import entries
+
+STALL_S = 8.0  # longer than every wall-clock limit of a flight that is not in lockstep
+
+
+def children(pid: int) -> list[int]:
+    """The processes that a flight has started, but for Python's own tracker of resources."""
+    out = []
+    for entry in Path("/proc").iterdir():
+        try:
+            parent = int((entry / "stat").read_text().rpartition(")")[2].split()[1])
+            command = (entry / "cmdline").read_text()
+        except (OSError, ValueError, IndexError):
+            continue
+        if parent == pid and "resource_tracker" not in command:
+            out.append(int(entry.name))
+    return sorted(out)
+
+
+def in_flight(tmp_path: Path, flying: Command) -> list[int]:
+    """Wait until a flight writes its log; its processes."""
+    until = time.monotonic() + 120
+    while time.monotonic() < until:
+        parts = list(tmp_path.glob("*.part"))
+        if parts and parts[0].stat().st_size > 200_000:
+            return children(flying.process.pid)
+        time.sleep(0.05)
+    raise AssertionError("no log is written")
+
+
+def told(log: Path) -> dict[str, list[tuple[int, bytes]]]:
+    """What a log says, by topic; how topics lie between each other in the file is the recording's affair."""
+    out: dict[str, list[tuple[int, bytes]]] = {}
+    for e in entries(log):
+        if e.topic in COMPARED or "/mavlink/" in e.topic:
+            out.setdefault(e.topic, []).append((e.log_time, e.data))
+    return out
+
+
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="finds processes by /proc")
+@pytest.mark.parametrize("which", [0, 1, None], ids=["first child", "second child", "the controller"])
+def test_a_process_that_stands_still_for_eight_seconds_changes_nothing(which: int | None, tmp_path: Path) -> None:
+    arguments = ("paper-case-1", "--duration", "20", "--no-replay")
+    quiet = flown(*arguments, "--out", str(tmp_path / "quiet"), "--port-offset", str(next_offset()))
+    folder = tmp_path / "stalled"
+    flying = Command("fly", "--json", *arguments, "--out", str(folder), "--port-offset", str(next_offset()))
+    own = in_flight(folder, flying)
+    assert len(own) == 2
+    stopped = flying.process.pid if which is None else own[which]
+    os.kill(stopped, signal.SIGSTOP)
+    time.sleep(STALL_S)
+    os.kill(stopped, signal.SIGCONT)
+    code, out, err = flying.wait()
+    assert code == 0, out + err
+    ours, theirs = told(next(folder.glob("*.mcap"))), told(Path(quiet["log"]))
+    assert set(ours) == set(theirs)
+    assert [topic for topic in ours if ours[topic] != theirs[topic]] == []
+
+
+def test_a_simulator_that_never_goes_on_ends_a_flight_untested(tmp_path: Path) -> None:
+    flying = Command(
+        "fly", "paper-case-1", "--duration", "60", "--no-replay", "--stall-timeout", "4", "--out", str(tmp_path),
+        "--port-offset", str(next_offset()),
+    )  # fmt: skip
+    own = in_flight(tmp_path, flying)
+    stopped = max(own, key=lambda pid: sum(map(int, Path(f"/proc/{pid}/stat").read_text().split()[13:15])))
+    os.kill(stopped, signal.SIGSTOP)
+    code, out, err = flying.wait(60)
+    assert code == 3, out + err
+    assert "not tested: the simulator stands still at t = " in err
+    assert "stall: nothing from the simulator" in err
+    assert "NOT TESTED" in out
+
+
+def test_a_port_in_use_is_no_verdict_on_the_flight(tmp_path: Path, offset: int) -> None:
+    import socket
+
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 14581 + offset))
+        code, _, err = cablequad("fly", "--no-replay", "--out", str(tmp_path), "--port-offset", str(offset))
+    assert code == 3
+    assert f"127.0.0.1:{14581 + offset}" in err
+    assert "Traceback" not in err
