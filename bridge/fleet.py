@@ -43,6 +43,7 @@ POSITION_GAP_M = 0.5  # a vehicle further than this from where its cable puts it
 REBOOT_MS = 1000  # a vehicle's clock that goes back by more has begun anew
 LOST_TWICE = 2
 RETURNS_S = 1.5  # a vehicle that its failsafe took may come back when it hears us again
+PATIENT_TICKS = 40  # that a stage may take beside its seconds: what is asked is answered a tick later
 FORCE = 21196.0  # of a disarming in flight
 FIX_3D = 3
 THRUST_NOT_CLIMB = 8  # in ArduCopter's GUID_OPTIONS
@@ -73,6 +74,7 @@ class Fleet:
         """
         self.n = len(max_thrust_N)
         self.failure: str | None = None
+        self.incomplete = ""  # what keeps the state from being whole, in words
         self.released_at: float | None = None
         self.flying = False  # whether every vehicle that is not lost carries itself under our command
         self._vehicles = [Vehicle(i + 1) for i in range(self.n)]
@@ -81,6 +83,7 @@ class Fleet:
         self._setpoints = Setpoints(self.n)
         self._configure = configure
         self._answers: list[Request] = []
+        self._period_s = period_s
         period_us = round(period_s * 1e6)
         self._intervals_us = {msgid: asked or period_us for msgid, asked in STREAMS_US.items()}
         self._grounded, self._air_start = grounded, airborne or not grounded
@@ -126,6 +129,8 @@ class Fleet:
         waiting = [
             v for v in self._vehicles if v.stage < Stage.CONTROL or (v.stage is Stage.CONTROL and not self._done(v, 0))
         ]
+        if self.incomplete and any(v.stage is Stage.SETPOINTS for v in waiting):
+            return [f"a complete state of vehicles, load and cables: {self.incomplete}"]
         return [f"vehicle {v.system} waits for {v.waits_for() or 'its first heartbeat'}{because(v)}" for v in waiting]
 
     def disarm(self, now: float) -> None:
@@ -380,8 +385,11 @@ class Fleet:
             self._consider()
 
     def _watch(self, v: Vehicle, now: float) -> None:
-        if now - v.since > v.gives_up_s() and (wait := v.waits_for()):
-            self._fail(f"vehicle {v.system}: waited {v.gives_up_s():.0f} s for {wait}{because(v)}")
+        limit = v.gives_up_s() + PATIENT_TICKS * self._period_s
+        if now - v.since > limit and (wait := v.waits_for()):
+            if v.stage is Stage.SETPOINTS and self.incomplete:
+                self._fail(f"waited {limit:.0f} s for {wait}: {self.incomplete}")
+            self._fail(f"vehicle {v.system}: waited {limit:.0f} s for {wait}{because(v)}")
             if v.stage in (Stage.HOLD, Stage.DISARM):
                 self._move(v, Stage.DONE)
         if v.stage > Stage.HEARTBEAT and v.stage is not Stage.DONE and now - v.heard_at > SILENT_S:

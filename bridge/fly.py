@@ -126,8 +126,11 @@ class _Flight:
         tracker = self.routes.get(TRACKER)
         begun = self.link.now()
         frames = self.link.poll(0.1, tracker[0] if tracker is not None and not self.pending else None)
+        if self.link.repeated:  # the simulator waits for an answer that it has not got
+            self.link.repeated = False
+            self.link.resend(range(len(self.link.ports)))
         arrived = self.link.now()
-        self.quiet_s = 0.0 if frames else self.quiet_s + arrived - begun
+        self.quiet_s = 0.0 if frames else self.quiet_s + arrived - begun  # a tick that is said again breaks no silence
         if frames and not self.pending:
             self.pending_since = arrived
         tracked: int | None = None
@@ -153,6 +156,7 @@ class _Flight:
             self._process()
             instant = self.decider.observer.estimate(boot_ms)
             if instant is None:
+                self.fleet.incomplete = self.decider.observer.incomplete()
                 tracked = max(tracked or 0, self.now_us)
             else:
                 sample = self._answer(instant, arrived)
@@ -340,6 +344,7 @@ def fly(
     channels: Channels,
     relation: Relation,
     places: Mapping[int, tuple[int, Address]] | None = None,
+    alive: Callable[[], bool] = lambda: True,
 ) -> tuple[Outcome, Timing]:
     """Bring the fleet up, fly what `decider` decides, leave every vehicle holding.
 
@@ -347,7 +352,8 @@ def fly(
     `watch` is called after every decision with the phase, the sample (None while nothing is heard) and for how long
     nothing came (s of the wall clock); what it returns ends the run with that reason. `channels` fail the frames of the
     systems they are for, `relation` maps what vehicles say into the tracker's time and frame. `places` says on which
-    port and from where each system speaks, where that is known beforehand.
+    port and from where each system speaks, where that is known beforehand. `alive` says whether there is still anybody
+    to be let go of.
     """
     flight = _Flight(link, fleet, decider, loop, record, channels, relation, places or {}, patience)
     begun = link.now()
@@ -372,7 +378,7 @@ def fly(
         interrupted, reason = True, "interrupted by the user"
     timing = flight.timing()
     flight.event("end", "all", reason)
-    _let_go(flight)
+    _let_go(flight, alive)
     flight.record_heard()
     timing = timing._replace(
         unread=len(flight.pending), foreign=flight.sources.foreign, places=frozenset(flight.routes.values())
@@ -393,14 +399,14 @@ def _silence(flight: _Flight) -> tuple[bool, str]:
     return False, f"every vehicle is silent since t = {t:.2f} s of their clock"
 
 
-def _let_go(flight: _Flight) -> None:
+def _let_go(flight: _Flight, alive: Callable[[], bool]) -> None:
     """Keep answering until every vehicle holds by itself, for a bounded time."""
     fleet, link = flight.fleet, flight.link
     begun, started = link.now(), flight.now_us * 1e-6
     fleet.hold(flight.now_us * 1e-6)
     first = started if flight.patience.lockstep else 0.0
     try:
-        while not fleet.at_rest and flight.waited_s(begun) < first + HOLD_S and not _silence(flight)[1]:
+        while not fleet.at_rest and flight.waited_s(begun) < first + HOLD_S and not _silence(flight)[1] and alive():
             flight.step()
         if (
             not fleet.at_rest

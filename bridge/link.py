@@ -6,7 +6,8 @@ in; what goes to one address in one breath shares a datagram.
 
 import select
 import time
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Collection, Sequence
 from typing import Any, NamedTuple
 
 from bridge.ports import Address, Endpoint, LinkError, Port, StreamPort, open_port
@@ -19,6 +20,9 @@ __all__ = ["Address", "Counters", "Endpoint", "Link", "LinkError", "Mishandled",
 
 GRACE_S = 0.002
 DATAGRAM_BYTES = 1400  # fits every network
+LATELY_KEPT = 128  # frames of one sender that are known again, half of those after which numbers begin anew
+SENT_KEPT = 100  # frames to one receiver that may be sent again
+DATAGRAMS_KEPT = 8
 SENDERS_KEPT = 4096  # whose sequence numbers are remembered
 MOST_ROUNDS = 512  # a flood must not keep the loop from its own work
 
@@ -83,6 +87,10 @@ class Link:
         self._next_seq: dict[int, int] = {}  # by port, system and component
         self._last_seq: dict[tuple[int, Address], int] = {}
         self._queue: dict[tuple[int, Address], list[bytes]] = {}
+        self.reliable = False  # whether what is lost may be sent again, and what came already is left out
+        self.repeated = False  # something came again since this was cleared: whoever sent it waits for our answer
+        self._lately: dict[int, dict[bytes, None]] = {}  # by port, system and component: the last frames
+        self._sent: dict[tuple[int, Address], deque[tuple[bytes, int]]] = {}  # the last datagrams, and their frames
         try:
             for index, endpoint in enumerate(endpoints):
                 self.ports.append(open_port(endpoint, self._watch, index))
@@ -162,16 +170,22 @@ class Link:
         if not self._queue:
             return
         for (port, address), frames in sorted(self._queue.items()):
-            here, start, size = self.ports[port], 0, 0
+            start, size = 0, 0
             for k, whole in enumerate(frames):
                 if size and size + len(whole) > DATAGRAM_BYTES:
-                    self._put(here, frames[start:k], address)
+                    self._put(port, frames[start:k], address)
                     start, size = k, 0
                 size += len(whole)
-            self._put(here, frames[start:], address)
+            self._put(port, frames[start:], address)
         self._queue.clear()
         if self.signer is not None:
             self.signer.at(time.time())
+
+    def resend(self, ports: Collection[int]) -> None:
+        """Send the last datagrams of `ports` again, byte for byte: a `reliable` receiver leaves out what it has."""
+        for (port, address), datagrams in self._sent.items():
+            for data, _ in datagrams if port in ports else ():
+                self.ports[port].send(data, address)
 
     def close(self) -> None:
         """Send what waits and release the sockets."""
@@ -198,9 +212,20 @@ class Link:
             self.counters.sent_on[port] += 1
         self.counters.sent += 1
 
-    def _put(self, port: Port, frames: list[bytes], address: Address) -> None:
-        if not port.send(b"".join(frames), address):
+    def _put(self, port: int, frames: list[bytes], address: Address) -> None:
+        data = b"".join(frames)
+        if self.reliable:
+            self._keep(port, data, len(frames), address)
+        if not self.ports[port].send(data, address):
             self.counters.unsent += len(frames)
+
+    def _keep(self, port: int, data: bytes, frames: int, address: Address) -> None:
+        kept = self._sent.get((port, address))
+        if kept is None:
+            kept = self._sent[port, address] = deque()
+        kept.append((data, frames))
+        while len(kept) > 1 and (sum(count for _, count in kept) > SENT_KEPT or len(kept) > DATAGRAMS_KEPT):
+            kept.popleft()
 
     def _split(self, port: int, address: Address, data: bytes) -> list[Received]:
         out: list[Received] = []
@@ -238,6 +263,8 @@ class Link:
                 continue
             whole, payload = data[at:last], data[at + (10 if magic == 0xFD else 6) : tail]
             at = last
+            if self.reliable and self._came_before(port << 16 | system << 8 | component, whole):
+                continue
             if self.signer is not None and not self._believed(self.signer, msgid, whole):
                 continue
             value = None
@@ -249,6 +276,19 @@ class Link:
             self._count(port, address, system, component, seq)
             out.append(Received(port, address, system, component, seq, msgid, name, whole, value))
         return out
+
+    def _came_before(self, sender: int, whole: bytes) -> bool:
+        """Whether this very frame, number and all, was among the sender's last ones."""
+        lately = self._lately.get(sender)
+        if lately is None:
+            lately = self._lately[sender] = {}
+        if whole in lately:
+            self.repeated = True
+            return True
+        lately[whole] = None
+        if len(lately) > LATELY_KEPT:
+            del lately[next(iter(lately))]
+        return False
 
     def _believed(self, signer: Signer, msgid: int, whole: bytes) -> bool:
         verdict = signer.judge(whole)

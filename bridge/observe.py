@@ -169,6 +169,24 @@ class Observer:
                     gap[i] = math.dist(said.x.tolist(), hung[i, 0].tolist())
         return Instant(boot_ms, state, self._tension, gap, age)
 
+    def incomplete(self) -> str:
+        """Whose word is missing most in the instants that are remembered, in words."""
+        parts, of = list(self._parts.values()), len(self._parts)
+        if not parts:
+            return "no measurement has come"
+        said = {"the payload tracker (ODOMETRY)": sum(p.payload is not None for p in parts)}
+        if self._loop.sensing == "full":
+            for i, links in enumerate(self._links_of):
+                told = sum(p.cable_links[i] >= links for p in parts)
+                said[f"the payload tracker (CABLE_STATE of cable {i + 1})"] = told
+        elif self._loop.sensing == "vehicles":
+            said = {
+                f"vehicle {i + 1} (LOCAL_POSITION_NED)": sum(i in p.positions for p in parts) for i in range(self._n)
+            }
+        said |= {f"vehicle {i + 1} (ATTITUDE_QUATERNION)": sum(i in p.attitudes for p in parts) for i in range(self._n)}
+        who = min(said, key=lambda name: said[name])
+        return f"{who} spoke of {said[who]} of the last {of} instants"
+
     def told(self, boot_ms: int) -> tuple[Array, Array, Array]:
         """x (n, 3) m where vehicles said they are, carried on by v (n, 3) m/s to `boot_ms`, and its age (n,) s."""
         since = np.maximum(boot_ms - np.array(self._told_ms), 0) * 1e-3

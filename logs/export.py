@@ -3,53 +3,74 @@
 import csv
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO
+from typing import IO, NamedTuple
 
 import numpy as np
 from mcap.writer import CompressionType, Writer
 
 from logs.reader import LogError, Run
-from logs.records import Copied, contents_of, entries
+from logs.records import Copied, Damage, contents_of, entries, missing
 from logs.schema import cablequad_pb2 as pb
 
 TRACKER_TOPIC = "payload"
 
 
-def salvage(source: Path, target: Path) -> int:
-    """Copy every whole record of `source` into `target` with an index at its end; the number of messages.
+class Salvaged(NamedTuple):
+    """What was kept of a log, and what was not."""
 
-    Raises LogError where there is nothing to copy or `target` is there already.
+    messages: int
+    damages: list[Damage]
+    lost: int  # messages, as far as the file's summary counted them
+    begin_ns: int  # log time of its first message
+
+
+def salvage(source: Path, target: Path) -> Salvaged:
+    """Copy every sound record of `source` into `target` with an index at its end.
+
+    Raises LogError where there is nothing to copy or `target` is there already; then no new file is left.
     """
-    with _new(target) as file:
-        writer = Writer(file, compression=CompressionType.ZSTD, chunk_size=512 * 1024)
-        writer.start(library="cablequad salvage")
-        schemas: dict[int, int] = {}
-        channels: dict[int, int] = {}
-        count = 0
-        for record in contents_of(source):
-            match record:
-                case Copied(entry, channel, schema):
-                    if channel.id not in channels:
-                        if schema is not None and schema.id not in schemas:
-                            schemas[schema.id] = writer.register_schema(schema.name, schema.encoding, schema.data)
-                        known = schemas[schema.id] if schema is not None else 0
-                        channels[channel.id] = writer.register_channel(
-                            channel.topic, channel.message_encoding, known, channel.metadata
-                        )
-                    writer.add_message(channels[channel.id], entry.log_time, entry.data, entry.publish_time)
-                    count += 1
-                case (str() as name, dict() as values):
-                    writer.add_metadata(name, values)
-                case attachment:
-                    writer.add_attachment(
-                        attachment.create_time, attachment.log_time, attachment.name, attachment.media_type,
-                        attachment.data,
-                    )  # fmt: skip
-        writer.finish()  # type: ignore[no-untyped-call]
+    made = False
+    try:
+        with _new(target) as file:
+            made = True
+            return _copied(source, file)
+    except BaseException:
+        if made:
+            target.unlink()
+        raise
+
+
+def _copied(source: Path, file: IO[bytes]) -> Salvaged:
+    damages: list[Damage] = []
+    writer = Writer(file, compression=CompressionType.ZSTD, chunk_size=512 * 1024)
+    writer.start(library="cablequad salvage")
+    schemas: dict[int, int] = {}
+    channels: dict[int, int] = {}
+    count = begin_ns = 0
+    for record in contents_of(source, damages):
+        match record:
+            case Copied(entry, channel, schema):
+                if channel.id not in channels:
+                    if schema is not None and schema.id not in schemas:
+                        schemas[schema.id] = writer.register_schema(schema.name, schema.encoding, schema.data)
+                    known = schemas[schema.id] if schema is not None else 0
+                    channels[channel.id] = writer.register_channel(
+                        channel.topic, channel.message_encoding, known, channel.metadata
+                    )
+                writer.add_message(channels[channel.id], entry.log_time, entry.data, entry.publish_time)
+                begin_ns = min(begin_ns or entry.log_time, entry.log_time)
+                count += 1
+            case (str() as name, dict() as values):
+                writer.add_metadata(name, values)
+            case attachment:
+                writer.add_attachment(
+                    attachment.create_time, attachment.log_time, attachment.name, attachment.media_type,
+                    attachment.data,
+                )  # fmt: skip
+    writer.finish()  # type: ignore[no-untyped-call]
     if count == 0:
-        target.unlink()
         raise LogError(f"log {source}: no whole message in it; nothing to salvage")
-    return count
+    return Salvaged(count, damages, missing(source, count) if damages else 0, begin_ns)
 
 
 def tlogs(source: Path, folder: Path) -> list[Path]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from logs.columns import flown
 from logs.reader import LogError, Run, frame_headers, missing_before, read
-from logs.records import entries, is_complete
+from logs.records import Damage, entries, is_complete, missing
 
 GAP = 5.0  # times a topic's usual interval
 SHOWN = 20  # findings of one kind
@@ -31,15 +31,16 @@ class Topic(NamedTuple):
     schema: str
 
 
-def _times(path: Path) -> tuple[dict[str, list[int]], dict[str, int], dict[str, str]]:
+def _times(path: Path) -> tuple[dict[str, list[int]], dict[str, int], dict[str, str], list[Damage]]:
     times: dict[str, list[int]] = defaultdict(list)
     sizes: dict[str, int] = defaultdict(int)
     schemas: dict[str, str] = {}
-    for entry in entries(path):
+    damages: list[Damage] = []
+    for entry in entries(path, damages):
         times[entry.topic].append(entry.log_time)
         sizes[entry.topic] += len(entry.data)
         schemas[entry.topic] = entry.schema
-    return times, sizes, schemas
+    return times, sizes, schemas, damages
 
 
 def _gaps(ns: np.ndarray) -> list[tuple[int, int]]:
@@ -57,7 +58,7 @@ def _gaps(ns: np.ndarray) -> list[tuple[int, int]]:
 
 def info(path: Path) -> dict[str, Any]:
     """Duration, topics, rates, gaps, result, scenario and versions, ready for JSON. Raises LogError."""
-    times, sizes, schemas = _times(path)
+    times, sizes, schemas, damages = _times(path)
     run = read(path)
     spans = [ns for ns in times.values() if ns]
     begin = min((ns[0] for ns in spans), default=0)
@@ -71,6 +72,8 @@ def info(path: Path) -> dict[str, Any]:
         "log": str(path),
         "bytes": path.stat().st_size,
         "complete": run.complete,
+        "damage": [damage.text(begin) for damage in damages],
+        "messages_lost": missing(path, sum(len(ns) for ns in spans)) if damages else 0,
         "duration_s": (end - begin) * 1e-9,
         "flown_s": _flown_s(run.columns),
         "messages": sum(len(ns) for ns in spans),
@@ -93,10 +96,11 @@ def check(path: Path) -> list[Finding]:
     found: list[Finding] = []
     if not is_complete(path):
         found.append(Finding(True, "the file is cut short: no summary at its end (cablequad log salvage makes one)"))
-    times, _, _ = _times(path)
+    times, _, _, damages = _times(path)
     if not times:
         raise LogError(f"log {path}: no message in it")
     zero = min(ns[0] for ns in times.values())
+    found += [Finding(True, f"{damage.text(zero)} (cablequad log salvage keeps the rest)") for damage in damages]
     for topic, listed in sorted(times.items()):
         ns = np.array(listed)
         back = np.flatnonzero(np.diff(ns) < 0)
@@ -113,9 +117,9 @@ def check(path: Path) -> list[Finding]:
             for a, b in _gaps(ns)[:SHOWN]
         ]
     run = read(path)
-    for (topic, system, component), (missing, total) in sorted(lost(run).items()):
-        if missing:
-            what = f"{missing} of {total + missing} frames of {system}/{component} are missing by their numbers"
+    for (topic, system, component), (gone, total) in sorted(lost(run).items()):
+        if gone:
+            what = f"{gone} of {total + gone} frames of {system}/{component} are missing by their numbers"
             found.append(Finding(False, f"{topic}: {what}"))
     if "result" not in run.metadata:
         found.append(Finding(True, "no result: the run did not end in order"))

@@ -10,7 +10,7 @@ import numpy as np
 
 from logs.columns import columns
 from logs.messages import Messages
-from logs.records import Contents, LogError, guarded, is_complete, raw_records, whole_records
+from logs.records import Contents, Damage, LogError, guarded, is_complete, whole_records
 
 __all__ = ["Happening", "LogError", "Run", "Tail", "frame_headers", "missing_before", "read"]
 
@@ -39,6 +39,7 @@ class Run(NamedTuple):
     events: list[Happening]
     frames: dict[str, Messages]  # by topic: the raw MAVLink envelopes
     epoch_ns: int = 0  # log time where the vehicles' clock is zero
+    damages: tuple[Damage, ...] = ()  # parts of the file that are lost
 
     @property
     def release_ns(self) -> int:
@@ -66,11 +67,11 @@ def _no_collections() -> Iterator[None]:
 
 def read(path: Path) -> Run:
     """The whole log, or what a truncated one holds. Raises LogError if there is nothing to read."""
-    contents = Contents()
+    contents = Contents(path)
     by_channel: dict[int, Messages] = {}
 
     def collect(file: Any) -> Iterator[None]:
-        contents.gather(raw_records(file), by_channel)
+        contents.gather(file, by_channel)
         yield
 
     with _no_collections():
@@ -142,7 +143,8 @@ def _run(path: Path, contents: Contents, by_channel: dict[int, Messages], comple
             found[topic] = read_here
     events.sort(key=lambda event: event.time_ns)
     epoch_ns = next((first[topic] - int(c["sim_time_ns"][0]) for topic, c in found.items()), 0)
-    return Run(path, complete, contents.metadata, contents.attachments, found, events, frames, epoch_ns)
+    damages = tuple(contents.damages)
+    return Run(path, complete, contents.metadata, contents.attachments, found, events, frames, epoch_ns, damages)
 
 
 def frame_headers(frames: Messages) -> dict[str, np.ndarray]:

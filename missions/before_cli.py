@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from missions.exits import FAILED, fail, usage
+from missions.exits import FAILED, fail, untested, usage
 from missions.options import (
     BackendOption,
     ConnectOption,
@@ -43,7 +43,7 @@ def check(
         s = flight.scenario
         for note in flight.notes:
             print(f"cablequad: {s.name}: {note}", file=sys.stderr)
-        with telling(s.name, quiet=as_json) as tell:
+        with telling(s.name) as tell:
             result = examine(in_the_air(flight), quick, tell)
     except ScenarioError as error:
         usage(str(error))
@@ -73,7 +73,7 @@ def margins(
         flight = load(scenario, None, None)
         refuse(flight, as_json)
         out.mkdir(parents=True, exist_ok=True)
-        with telling(flight.scenario.name, quiet=as_json) as tell:
+        with telling(flight.scenario.name) as tell:
             tell("simulated flights towards its margins")
             result = measure(in_the_air(flight))
     except ScenarioError as error:
@@ -96,7 +96,7 @@ def preflight(
 ) -> None:
     """Go or no-go: design, margins, the flight itself and eight drills with and without protection, on one page.
 
-    Exit code 0 for go, 1 for no-go.
+    Exit code 0 for go, 1 for no-go, 3 where the computer could not carry a flight out.
     """
     from rich.console import Console
 
@@ -111,12 +111,14 @@ def preflight(
         refuse(flight, as_json)
         out.mkdir(parents=True, exist_ok=True)
         name = flight.scenario.name
-        with telling(name, quiet=as_json) as tell:
+        with telling(name) as tell:
             for note in flight.notes:
                 tell(note)
             lines = list(page.preflight(flight, Options(out=out, port_offset=port_offset), tell))
     except ScenarioError as error:
         usage(str(error))
+    except page.NotTested as error:
+        untested(f"{name}: {error}")
     except OSError as error:
         usage(f"--out {out}: {error.strerror}; choose another folder")
     target = out / f"{name}-preflight.html"
@@ -178,7 +180,7 @@ def identify(
         ends = tuple(Endpoint.parse(url) for url in connect or ())
         speed = math.inf if who == "builtin" and not ends else 1.0
         options = Options(ends, out, speed, port_offset, True, backend=who, launch=launch)
-        with progress(as_json) as told:
+        with progress() as told:
             summary, _ = run(flight._replace(script=script), options, told)
         if not summary.passed or summary.log is None:
             fail(f"{asked.scenario.name}: {summary.reason}")

@@ -1,12 +1,14 @@
 """The `cablequad` command. Heavy imports stand inside the commands, so that help is quick."""
 
+import contextlib
+import io
 import json
 import math
 import signal
 import sys
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
@@ -89,6 +91,7 @@ def fly(
     """
     from bridge.link import Endpoint, LinkError
     from missions.keys import KeyFileError, read_key
+    from missions.report import progress
     from missions.run import Options, run
     from missions.scenario import ScenarioError
 
@@ -113,15 +116,15 @@ def fly(
         options = Options(
             ends, out, pace, port_offset, configure or not ends, key, accept_unsigned, live, who, launch, stall_timeout
         )
-        with _progress(quiet=as_json) as progress:
-            summary, interrupted = run(flight, options, progress)
+        with progress() as told:
+            summary, interrupted = run(flight, options, told)
     except (ScenarioError, LinkError, KeyFileError) as error:
         usage(str(error))
     if replay and summary.log is not None:
         summary = _write_replay(summary)
     if as_json:
         print(json.dumps(summary._asdict()))
-    else:
+    elif summary.log is not None:
         _report(summary)
     if interrupted:
         raise typer.Exit(INTERRUPTED)
@@ -228,39 +231,51 @@ def replay(
     port: Annotated[int, typer.Option(help="With --serve: the page's port; the next one carries the data.")] = 9090,
 ) -> None:
     """Open a run in Rerun (two side by side), save it as an .rrd, serve it to a browser, or save a picture of it."""
-    import subprocess
     import tempfile
 
     from logs import replay as replays
     from logs.reader import LogError, read
 
-    try:
-        loaded = read(run)
-        second = None if other is None else read(other)
-        folder = tempfile.mkdtemp(prefix="cablequad-") if save is None else None
-        target = save if save is not None else Path(folder or "") / (run.stem + ".rrd")
-        if target.parent and not target.parent.is_dir():
-            usage(f"--save {target}: the folder {target.parent} does not exist")
-        replays.save(loaded, target, second)
-    except LogError as error:
-        fail(str(error))
-    for log in (loaded, second):
-        if log is not None and not log.complete:
-            print(f"cablequad: {log.path}: the log is cut short; replaying what it holds", file=sys.stderr)
-    if screenshot is not None:
-        from logs.screenshot import screenshots
-
+    with contextlib.ExitStack() as stack:
         try:
-            screenshots(target, {at: screenshot})
+            loaded = read(run)
+            second = None if other is None else read(other)
+            if save is not None:
+                target = save
+            else:
+                target = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="cablequad-"))) / f"{run.stem}.rrd"
+            if target.parent and not target.parent.is_dir():
+                usage(f"--save {target}: the folder {target.parent} does not exist")
+            replays.save(loaded, target, second)
         except LogError as error:
             fail(str(error))
-        print(screenshot)
-        return
-    if save is not None:
-        print(target)
-        return
+        for log in (loaded, second):
+            if log is None:
+                continue
+            if not log.complete:
+                print(f"cablequad: {log.path}: the log is cut short; replaying what it holds", file=sys.stderr)
+            for damage in log.damages:
+                print(f"cablequad: {log.path}: {damage.text(log.epoch_ns)}; replaying the rest", file=sys.stderr)
+        if screenshot is not None:
+            from logs.screenshot import screenshots
+
+            try:
+                screenshots(target, {at: screenshot})
+            except LogError as error:
+                fail(str(error))
+            print(screenshot)
+        elif save is not None:
+            print(target)
+        else:
+            _view(target, port if serve else None)
+
+
+def _view(target: Path, port: int | None) -> NoReturn:
+    """Open a replay in the viewer, or serve it to browsers from `port` on, until the user has seen enough."""
+    import subprocess
+
     viewer: list[str | Path] = [Path(sys.executable).parent / "rerun", target]
-    if serve:
+    if port is not None:
         from logs.screenshot import served
 
         viewer += served(port)
@@ -300,6 +315,9 @@ def show(name: ScenarioArgument) -> None:
 
 def main() -> None:
     """Entry point of the `cablequad` command."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # a path may have letters that a terminal has not
+            stream.reconfigure(errors="backslashreplace")
     interrupted: list[int] = []
 
     def interrupt(number: int, _: FrameType | None) -> None:
@@ -334,12 +352,6 @@ def _speed(text: str) -> float:
     if not (math.isfinite(value) and value > 0):
         usage(f"--speed: {text!r} given; write max or a factor above 0, such as 1")
     return value
-
-
-def _progress(quiet: bool):  # type: ignore[no-untyped-def]
-    from missions.report import progress
-
-    return progress(quiet)
 
 
 def _report(summary: "Summary") -> None:

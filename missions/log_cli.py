@@ -1,6 +1,7 @@
 """`cablequad log ...`: what can be done with a log besides replaying it."""
 
 import json
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, TypeVar
@@ -28,6 +29,8 @@ def log_info(run: LogArgument, as_json: JsonOption = False) -> None:
         print(json.dumps(result))
     else:
         info_table(result)
+    if result["damage"]:
+        raise typer.Exit(FAILED)
 
 
 @log_app.command("check")
@@ -52,12 +55,21 @@ def log_salvage(
     run: LogArgument,
     out: Annotated[Path | None, typer.Option(help="The new file; beside the old one where it is not given.")] = None,
 ) -> None:
-    """Copy every whole record of a cut log into a new file with an index."""
+    """Copy every sound record of a cut or damaged log into a new file with an index.
+
+    Exit code 1 where something in its middle was lost.
+    """
     from logs.export import salvage
 
     target = out or run.with_name(run.name.removesuffix(".part").removesuffix(".mcap") + "-salvaged.mcap")
-    count = _of_log(lambda path: salvage(path, target), run)
-    print(f"{target}: {count} messages")
+    kept = _of_log(lambda path: salvage(path, target), run)
+    print(f"{target}: {kept.messages} messages")
+    for damage in kept.damages:
+        print(f"cablequad: {run}: {damage.text(kept.begin_ns)}", file=sys.stderr)
+    if kept.lost:
+        print(f"cablequad: {run}: {kept.lost} of {kept.messages + kept.lost} messages are lost in all", file=sys.stderr)
+    if kept.damages:
+        raise typer.Exit(FAILED)
 
 
 @log_app.command("export")
@@ -149,7 +161,7 @@ def report(
             videos.save(loaded, video, video_seconds, video_speed)
         return target
 
-    with telling(run.name, quiet=False) as tell:
+    with telling(run.name) as tell:
         tell("drawing")
         target = _of_log(write, run)
     print(target)

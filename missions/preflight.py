@@ -34,6 +34,10 @@ vertical-align:top} .go{color:#00694e;font-weight:700} .no-go{color:#b03a00;font
 """
 
 
+class NotTested(Exception):
+    """A flight that the computer could not carry out, which is no verdict on it."""
+
+
 class Line(NamedTuple):
     """One line of the page."""
 
@@ -63,17 +67,23 @@ def preflight(flight: Flight, options: Options, tell: Callable[[str], None]) -> 
             tell("margins, and the flights meanwhile")
             yield from _margins(measure(in_air, bisections=COARSE))
             tell("the flight itself and the drills")
-            summary = nominal.result()
+            summary = _tested(nominal.result())
             if summary.log is None:
                 raise ScenarioError(summary.reason)
             yield Line("flight", flight.scenario.name, "go" if summary.passed else "no-go", _told(summary._asdict()))
             for drill, (protected, bare) in told:
                 tell(f"drill: {drill.name}, with protection and without")
-                result = compared(drill, protected.result(), bare.result())
+                result = compared(drill, _tested(protected.result()), _tested(bare.result()))
                 yield Line("drill", f"{drill.name}: {drill.what}", result.verdict, result.why)
         except BaseException:
             pool.shutdown(wait=True, cancel_futures=True)  # nobody flies on for a page that is not finished
             raise
+
+
+def _tested(s: Summary) -> Summary:
+    if not s.tested:
+        raise NotTested(f"not tested: {s.reason.removeprefix('not tested: ')}")
+    return s
 
 
 def _nominal(flight: Flight, options: Options) -> Summary:

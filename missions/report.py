@@ -81,17 +81,14 @@ class _Lines(Progress):
 
 
 def _line(text: str) -> None:
-    """A line for whoever reads the error stream, at once, in what its encoding has."""
-    encoding = getattr(sys.stderr, "encoding", None) or "ascii"
-    print(f"cablequad: {text}".encode(encoding, "replace").decode(encoding), file=sys.stderr, flush=True)
+    """A line for whoever reads the error stream, at once; an indented one is to be copied, and stands as it is."""
+    print(text if text.startswith("  ") else f"cablequad: {text}", file=sys.stderr, flush=True)
 
 
 @contextmanager
-def progress(quiet: bool) -> Iterator[Progress]:
-    """What a flight says on the error stream: a live bar on a terminal, plain lines in a pipe, nothing when `quiet`."""
-    if quiet:
-        yield Progress()
-    elif sys.stderr.isatty():
+def progress() -> Iterator[Progress]:
+    """What a flight says on the error stream: a live bar on a terminal, plain lines in a pipe."""
+    if sys.stderr.isatty():
         console = Console(stderr=True)
         with Bar(TextColumn("{task.description}"), BarColumn(bar_width=30), console=console) as bar:
             yield _Bar(bar)
@@ -111,14 +108,11 @@ def progress(quiet: bool) -> Iterator[Progress]:
 
 
 @contextmanager
-def telling(name: str, quiet: bool) -> Iterator[Callable[[str], None]]:
+def telling(name: str) -> Iterator[Callable[[str], None]]:
     """A function that says what is being done: beside a spinner on a terminal, as lines in a pipe.
 
     What takes long is said again now and then with the time that it has taken.
     """
-    if quiet:
-        yield lambda _: None
-        return
     doing = _Doing(name)
     console = Console(stderr=True)
     spinner = console.status(name) if sys.stderr.isatty() else None
@@ -251,12 +245,16 @@ def info_table(result: dict[str, Any]) -> None:
     """What `cablequad log info` found."""
     console = Console(width=None if sys.stdout.isatty() else 120, highlight=False)
     run, ended = result["run"], result["result"]
-    whole = "whole" if result["complete"] else "cut short"
+    whole = "damaged" if result["damage"] else "whole" if result["complete"] else "cut short"
     console.print(
         f"{result['log']}: {whole}, {result['bytes'] / 1e6:.1f} MB, {result['duration_s']:.2f} s, of which "
         f"{result['flown_s']:.2f} s flown, {result['messages']} messages"
     )
     console.print("  ".join(f"{key}: {value}" for key, value in run.items()), soft_wrap=True)
+    for damage in result["damage"]:
+        console.print(f"[bold]{damage}[/bold]", soft_wrap=True)
+    if result["messages_lost"]:
+        console.print(f"[bold]{result['messages_lost']} messages are lost in all[/bold]")
     if ended is None:
         console.print("[bold]no result: the run did not end in order[/bold]")
     else:

@@ -144,6 +144,7 @@ def _run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary,
     try:
         external = options.backend != "builtin"
         lockstep = math.isinf(options.speed) and not options.connect and not external
+        link.reliable = lockstep
         connect_s = max(flight.scenario.link.connect_timeout_s, BOOT_S if external else 0.0)
         who = "connected" if options.connect else options.backend
         scribe = Scribe()
@@ -328,7 +329,7 @@ def _fly(
     relation = Relation(fleet.n, TRACKER, asks)
     outcome, timing = fly(
         link, fleet, prepared.decider, prepared.loop, watch, patience, look, channels, relation,
-        {} if asks else _places(fleet.n, port_offset),
+        {} if asks else _places(fleet.n, port_offset), lambda: simulator is None or simulator.failure is None,
     )  # fmt: skip
     if mission is not None:
         mission.close()

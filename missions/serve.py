@@ -11,6 +11,7 @@ from rich.table import Table
 
 from bridge.ports import vehicle_ports
 from missions.launch import Autopilots, launches, start_lines
+from missions.report import telling
 from missions.scenario import Flight
 from missions.simulate import Serving, kinds, server_of, settings
 from sitl.external.ardupilot import ARDUPILOT_PORT
@@ -41,7 +42,9 @@ def serve(flight: Flight, serving: Serving, launch: Path | None = None) -> None:
 
     for note in flight.notes:
         console.print(note)
-    server = server_of(settings(flight, serving), sink)
+    with telling(flight.scenario.name) as tell:
+        tell("getting ready (the first start on a machine compiles the model, which takes minutes)")
+        server = server_of(settings(flight, serving), sink)
     signal.signal(signal.SIGINT, stop)
     signal.signal(signal.SIGTERM, stop)
     console.print(_addresses(flight, serving) if serving.backend == "builtin" else _seats(flight, serving))

@@ -477,6 +477,16 @@ class Scenario(_Table):
         for key, number in named:
             if number > len(self.vehicles):
                 raise ValueError(f"faults.{key}.vehicle: {number} given; there are {len(self.vehicles)} vehicles")
+        links = [("down", self.faults.down), ("up", self.faults.up), ("tracker", self.faults.tracker)]
+        for k, entry in enumerate(self.faults.vehicles):
+            own = ((f"vehicles.{k}.down", entry.down), (f"vehicles.{k}.up", entry.up))
+            links += [(key, table) for key, table in own if table is not None]
+        for key, table in links:
+            if table.loss >= 1.0:
+                raise ValueError(
+                    f"faults.{key}.loss: {table.loss:g} given; nothing would ever come through: less than 1 is needed, "
+                    "or [[faults.cuts]] for a while"
+                )
         for i, vehicle in enumerate(self.vehicles):
             directions, cable = vehicle.initial_link_directions, vehicle.cable or self.cable
             if directions is not None and len(directions) != len(cable.link_lengths_m):

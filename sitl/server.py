@@ -32,6 +32,7 @@ from sitl.settings import Event, Report, Settings, Sink, plant_of, sensors_of, u
 CONTROLLER = (250, 191)  # whose setpoints may hold the clock
 PERSONAS: dict[str, type[Px4] | type[ArduCopter]] = {"px4": Px4, "arducopter": ArduCopter}
 NO_FORCE = np.zeros(3)
+LOOK_S, RESEND_LOOKS = 0.1, 10  # wall clock, of one look for answers; after so many the tick is said again
 CATCH_UP = 0.25  # s behind the wall clock that are made up for; more is let go
 
 
@@ -47,6 +48,7 @@ class Server:
         trackers = () if s.loose else tracker_endpoints(s.port_offset, s.host)
         signer = Signer(s.signing_key, s.accept_unsigned_telemetry) if s.signing_key is not None else None
         self.link = Link([*(place.endpoint for place in self._places), *trackers], signer)
+        self.link.reliable = s.lockstep and s.await_controller
         ports = (len(self._places), len(self._places) + 1)
         self._tracker = tracker.Tracker(self.link, ports, s.system.n_links, s.control_us)
         self.plant = LoosePlant(s.system, s.airframe, s.initial, s.physics_us * 1e-6) if s.loose else plant_of(s)
@@ -338,7 +340,7 @@ class Server:
         if self.now_us % self.settings.control_us != 0:
             self._receive(0.0)
             return
-        read = False  # all that has come
+        read, looks = False, 0  # all that has come; in vain
         while not stop():
             missing = [
                 i for i in range(self.n) if self._engaged[i] and self._awaited[i] and self._answered[i] != now_ms
@@ -361,7 +363,11 @@ class Server:
                     Event(self.now_us, "answer-missing", names, f"no setpoint for this tick from vehicle {names}")
                 )
                 return
-            self._receive(min(left, 0.1), closing)
+            if self.link.reliable and looks == RESEND_LOOKS:  # a datagram may be lost; who only is slow leaves it out
+                self.link.resend({*self._controller_port, len(self._places)})  # and the tracker's
+                looks = 0
+            looks += 1
+            self._receive(min(left, LOOK_S), closing)
             closing, read = None, True
 
     def _pace(self) -> None:
