@@ -33,7 +33,7 @@ the resolved scenario as JSON, and the mission script.
 |---|---|
 | `cablequad log info RUN.mcap` | duration, topics with rates and gaps, result, scenario, versions |
 | `cablequad log check RUN.mcap` | order of time, gaps, frames missing by their sequence numbers, a missing end; exit code 1 where something is wrong |
-| `cablequad log salvage RUN.mcap` | every whole record of a cut file into a new one with an index |
+| `cablequad log salvage RUN.mcap` | every sound record of a cut or damaged file into a new one with an index; what is lost is counted and timed, exit code 1 where it is in the middle |
 | `cablequad log export RUN.mcap --format tlog` | a .tlog for each vehicle; `csv`, `parquet`: a table for each topic |
 | `cablequad log replay-control RUN.mcap` | every decision made again by today's controller, and the first that differs |
 

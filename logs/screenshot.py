@@ -1,5 +1,6 @@
 """A picture of a replay without a screen: a headless viewer, asked to show one time and to save what it sees."""
 
+import contextlib
 import os
 import sys
 import time
@@ -40,8 +41,15 @@ def screenshots(rrd: Path, shots: dict[float, Path], port: int = 9913) -> None:
             if reports:
                 raise LogError(f"the Rerun viewer reports: {reports[0]}")
             viewer.save_screenshot(str(png))
+    except (ConnectionError, RuntimeError, OSError) as error:
+        why = (str(error).splitlines() or [""])[0]
+        raise LogError(
+            f"the Rerun viewer ended by itself ({why}); it needs a Vulkan driver, also without a screen (Debian: "
+            "mesa-vulkan-drivers)"
+        ) from None
     finally:
-        viewer.quit()
+        with contextlib.suppress(ConnectionError, RuntimeError, OSError):
+            viewer.quit()
 
 
 def served(port: int) -> list[str]:

@@ -1,12 +1,15 @@
 """What is done with a log: looked into, checked, mended, exported, decided again, drawn."""
 
+import contextlib
 import json
 import os
 import shutil
 import signal
 import socket
+import struct
 import subprocess
 import sys
+import tempfile
 import time
 import urllib.request
 from pathlib import Path
@@ -14,6 +17,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import cablequad
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from pymavlink import mavutil
 
@@ -25,7 +31,7 @@ from logs.inspect import check, info, lost
 from logs.messages import Messages
 from logs.motion import motion_of
 from logs.reader import LogError, Run, missing_before, read
-from logs.records import entries
+from logs.records import Damage, entries
 from logs.schema import cablequad_pb2 as pb
 from missions.redecide import redecide
 
@@ -386,3 +392,102 @@ def test_a_page_of_a_run_that_did_not_end_says_so(tmp_path: Path) -> None:
     cut.write_bytes(CASE_2.read_bytes()[:300_000])
     text = page.page(read(cut), {})
     assert "did not end in order" in text
+
+
+class TestDamage:
+    """Every sound chunk is read; what is lost is counted, timed and told."""
+
+    @pytest.fixture
+    def whole(self, tmp_path: Path) -> Path:
+        path = tmp_path / "whole.mcap"
+        path.write_bytes((Path(__file__).parent / "golden" / "v2-paper-case-2-50hz.mcap").read_bytes())
+        return path
+
+    def chunks(self, data: bytes) -> list[tuple[int, int]]:
+        """Where chunks' records begin and end."""
+        at, out = 8, []
+        while at + 9 <= len(data):
+            opcode, length = struct.unpack_from("<BQ", data, at)
+            if opcode == Opcode.CHUNK:
+                out.append((at, at + 9 + length))
+            if opcode == Opcode.DATA_END:
+                return out
+            at += 9 + length
+        return out
+
+    def damaged(self, whole: Path, begin: int, end: int) -> Path:
+        data = bytearray(whole.read_bytes())
+        data[begin:end] = bytes(end - begin)
+        path = whole.with_name("damaged.mcap")
+        path.write_bytes(data)
+        return path
+
+    @pytest.mark.parametrize("where", ["in a chunk", "over a chunk's head", "in the first chunk"])
+    def test_a_hole_costs_the_chunks_that_it_touches_alone(self, whole: Path, where: str) -> None:
+        places = self.chunks(whole.read_bytes())
+        assert len(places) > 3
+        begin, end = places[0] if where == "in the first chunk" else places[len(places) // 2]
+        hole = (begin - 20, begin + 60) if where == "over a chunk's head" else (begin + 200, begin + 400)
+        path = self.damaged(whole, *hole)
+        of = sum(1 for _ in entries(whole))
+        lost: list[Damage] = []
+        kept = sum(1 for _ in entries(path, lost))
+        assert 0 < of - kept <= 2 * of // len(places) + 4000
+        assert len(lost) == 1
+        assert where == "over a chunk's head" or lost[0].messages == of - kept
+        assert lost[0].end_ns > lost[0].begin_ns > 0 or where == "in the first chunk"
+        run = read(path)
+        assert len(run.damages) == 1
+        assert sum(len(m) for m in run.frames.values()) > 0
+        assert end > begin
+        code, out, _ = cablequad("log", "info", str(path))
+        assert code == 1
+        assert "damaged" in out
+        target = path.with_name("kept.mcap")
+        code, out, err = cablequad("log", "salvage", str(path), "--out", str(target))
+        assert code == 1
+        assert f"{kept} messages" in out
+        assert f"{of - kept} of {of} messages are lost in all" in err
+        assert sum(1 for _ in entries(target)) == kept
+        code, out, _ = cablequad("log", "check", str(path))
+        assert code == 1
+        assert "lost" in out
+
+    def test_two_logs_that_were_joined_are_told(self, whole: Path) -> None:
+        joined = whole.with_name("joined.mcap")
+        joined.write_bytes(2 * whole.read_bytes())
+        code, out, _ = cablequad("log", "check", str(joined))
+        assert code == 1
+        assert "bytes of another file, joined to this one" in out
+
+    def test_salvage_of_what_is_no_log_leaves_no_file(self, tmp_path: Path) -> None:
+        path = tmp_path / "no.mcap"
+        path.write_text("hello" * 100)
+        code, _, err = cablequad("log", "salvage", str(path))
+        assert code == 1
+        assert "not an MCAP file" in err
+        assert sorted(p.name for p in tmp_path.iterdir()) == ["no.mcap"]
+
+    @settings(max_examples=40)
+    @given(st.integers(0, 2**31), st.integers(1, 5000))
+    def test_no_damage_at_all_ends_in_anything_but_a_log_or_a_line(self, seed: int, size: int) -> None:
+        source = Path(__file__).parent / "golden" / "v2-paper-case-2-50hz.mcap"
+        data = bytearray(source.read_bytes())
+        rng = np.random.default_rng(seed)
+        begin = int(rng.integers(8, len(data)))
+        part = len(data[begin : begin + size])
+        data[begin : begin + part] = rng.integers(0, 256, part, dtype=np.uint8).tobytes()
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "x.mcap"
+            path.write_bytes(data)
+            with contextlib.suppress(LogError):  # which names the file, and is all that may be raised
+                run = read(path)
+                sum(1 for _ in entries(path))
+                assert run.damages or not run.complete or begin > len(data) - 200_000
+
+    def test_replay_leaves_nothing_in_the_temporary_folder(self, whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        folder = whole.with_name("tmp")
+        folder.mkdir()
+        monkeypatch.setenv("TMPDIR", str(folder))
+        cablequad("replay", str(whole), "--screenshot", str(whole.with_suffix(".png")))
+        assert [p.name for p in folder.iterdir() if p.name.startswith("cablequad-")] == []
