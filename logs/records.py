@@ -343,10 +343,11 @@ class Contents:
         raw, named = np.frombuffer(data, np.uint8), 0
         found: list[tuple[int, Counts, Counts, Counts]] = []
         for index in indexes:
-            entries = np.frombuffer(index, _INDEX, offset=6)
+            many = max(0, len(index) - 6) // _INDEX.itemsize
+            entries = np.frombuffer(index, _INDEX, many, 6) if many else np.empty(0, _INDEX)
             starts = entries["offset"].astype(np.int64)
-            if not len(starts) or int(starts.max()) + 31 > size:
-                continue
+            if not len(starts) or int(starts.min()) < 0 or int(starts.max()) > size - 31:
+                continue  # an index that is damaged names nothing
             lengths = raw[starts[:, None] + _LENGTH].copy().view("<u8").ravel().astype(np.int64)
             named += int(lengths.sum()) + 9 * len(starts)
             channel = int.from_bytes(index[:2], "little")

@@ -468,7 +468,7 @@ class TestDamage:
         assert "not an MCAP file" in err
         assert sorted(p.name for p in tmp_path.iterdir()) == ["no.mcap"]
 
-    @settings(max_examples=40)
+    @settings(max_examples=60)
     @given(st.integers(0, 2**31), st.integers(1, 5000))
     def test_no_damage_at_all_ends_in_anything_but_a_log_or_a_line(self, seed: int, size: int) -> None:
         source = Path(__file__).parent / "golden" / "v2-paper-case-2-50hz.mcap"
@@ -481,9 +481,8 @@ class TestDamage:
             path = Path(folder) / "x.mcap"
             path.write_bytes(data)
             with contextlib.suppress(LogError):  # which names the file, and is all that may be raised
-                run = read(path)
-                sum(1 for _ in entries(path))
-                assert run.damages or not run.complete or begin > len(data) - 200_000
+                kept = sum(1 for _ in entries(path))
+                assert sum(len(c["sim_time_ns"]) for c in read(path).columns.values()) <= kept
 
     def test_replay_leaves_nothing_in_the_temporary_folder(self, whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         folder = whole.with_name("tmp")
