@@ -156,7 +156,7 @@ def _run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary,
                 accept_unsigned_telemetry=options.accept_unsigned_telemetry,
             )  # fmt: skip
             simulator = Simulator(settings(flight, serving), scribe.truth_end)
-        progress.doing("getting ready (the first start on a machine compiles the model, which takes minutes)")
+        progress.doing("getting ready (a first start compiles the model: minutes)")
         design = scenarios.design(flight)  # while the others are on their way
         beginning = opening(flight, design, options.out, lockstep, bool(options.connect), who)
         scribe.open(beginning)
@@ -177,7 +177,7 @@ def _run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary,
         if simulator is not None and lockstep:
             pin(-2)
         sys.setswitchinterval(SWITCH_S)
-        progress.doing("waiting for the simulator (the first start on a machine compiles the model)")
+        progress.doing("waiting for the simulator (a first start compiles the model)")
         with _interrupts() as interrupted:
             if simulator is not None and not simulator.wait_ready(lambda: not interrupted()):
                 reason = simulator.failure or "interrupted by the user"
