@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 import typer
 
 from missions.before_cli import check, identify, margins, preflight
-from missions.exits import FAILED, INTERRUPTED, UNTESTED, fail, usage
+from missions.exits import FAILED, INTERRUPTED, UNTESTED, fail, untested, usage
 from missions.log_cli import log_app, report
 from missions.options import (
     BackendOption,
@@ -180,7 +180,9 @@ def sitl(
         serve(flight, serving, launch)
     except (ScenarioError, KeyFileError) as error:
         usage(str(error))
-    except (LinkError, PhysicsError, AutopilotError) as error:
+    except LinkError as error:
+        untested(str(error))
+    except (PhysicsError, AutopilotError) as error:
         fail(str(error))
 
 

@@ -10,13 +10,16 @@ from typing import Any, NamedTuple
 from rich.console import Console
 from rich.table import Table
 
+from bridge.link import Link, LinkError
 from missions.check import check
 from missions.drills import Drill, compared, drills, flown, in_the_air, rehearsal
 from missions.margins import measure
 from missions.report import margin_text
-from missions.run import Options, Progress, run
+from missions.run import Options, Progress, endpoints, run
 from missions.scenario import Flight, ScenarioError
 from missions.summary import Summary
+from sitl.places import places, tracker_endpoints
+from sitl.settings import HOST
 
 LANES = 2  # flights at a time
 COARSE = 4  # bisections of a margin: whether it is enough is asked, not how large it is to a per cent
@@ -50,6 +53,8 @@ class Line(NamedTuple):
 def preflight(flight: Flight, options: Options, tell: Callable[[str], None]) -> Iterator[Line]:
     """Every line, as soon as it is known; `tell` hears what is being done."""
     told: list[tuple[Drill, list[Future[Summary]]]] = []
+    for flights in range(1 + 2 * len(drills(flight))):
+        _ports_are_free(flight, options.port_offset + PORTS * flights)
     tell("design")
     in_air, ground = in_the_air(flight), rehearsal(flight)
     lines = check(in_air, True, tell)  # before anything flies: what cannot be designed is not flown
@@ -78,6 +83,16 @@ def preflight(flight: Flight, options: Options, tell: Callable[[str], None]) -> 
         except BaseException:
             pool.shutdown(wait=True, cancel_futures=True)  # nobody flies on for a page that is not finished
             raise
+
+
+def _ports_are_free(flight: Flight, offset: int) -> None:
+    """Raise NotTested where somebody else has a port that a flight needs: no verdict on any drill."""
+    try:
+        Link([place.endpoint for place in places(flight.firmware, offset, HOST)]).close()
+        Link(list(tracker_endpoints(offset, HOST))).close()
+        Link(endpoints(len(flight.firmware), Options(port_offset=offset))).close()
+    except LinkError as error:
+        raise NotTested(f"not tested: {error}") from None
 
 
 def _tested(s: Summary) -> Summary:

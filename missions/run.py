@@ -15,6 +15,7 @@ from types import FrameType
 
 import numpy as np
 
+from bridge.decide import PART
 from bridge.faults import Channel, Tally, generator
 from bridge.fleet import TRACKER, Fleet
 from bridge.fly import SILENT_S, STALL_S, Outcome, Patience, Timing, fly
@@ -134,7 +135,7 @@ def _run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary,
     n = len(flight.system.m)
     key = options.signing_key
     signer = Signer(key, options.accept_unsigned_telemetry) if key is not None else None
-    link = Link(_endpoints(n, options), signer)
+    link = Link(endpoints(n, options), signer)
     simulator: Simulator | None = None
     scribe: Scribe | None = None
     processors = os.sched_getaffinity(0) if sys.platform == "linux" else set()
@@ -197,7 +198,7 @@ def _run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary,
             simulator.stop()
             while after := link.poll(0.0):  # what was still on its way is counted too
                 timing = timing._replace(unread=timing.unread + len(after))
-        judged = scribe.judged(outcome.completed)
+        judged = scribe.judged(outcome.completed or outcome.reason.startswith(PART))
         if judged.followed is not None:  # the simulator knows every link's tension; the tracker told the load's end
             watch.track.min_tension_N = judged.smallest_tension_N
         missed = 0
@@ -348,9 +349,9 @@ class _Waits:
 
     def look(self, quiet_s: float) -> None:
         """`quiet_s`: for how long nothing came, wall clock."""
-        if quiet_s > SILENT_S and not self._still and self._patience.simulated:
+        if quiet_s > SILENT_S and not self._still and self._patience.lockstep:
             self._still = True
-            until = f" up to {self._patience.stall_s:g} s (--stall-timeout)" if self._patience.lockstep else ""
+            until = f" up to {self._patience.stall_s:g} s (--stall-timeout)"
             self._progress.say(
                 f"stall: nothing from the simulator for {SILENT_S:g} s; it is alive, and waited for{until}"
             )
@@ -366,7 +367,8 @@ class _Waits:
             self._progress.doing("waiting for " + "; ".join(waits[:4]) + (" ..." if len(waits) > 4 else ""))
 
 
-def _endpoints(n: int, options: Options) -> list[Endpoint]:
+def endpoints(n: int, options: Options) -> list[Endpoint]:
+    """Where the controller listens for n vehicles and the tracker."""
     if options.connect:
         return list(options.connect)
     ports = [*(vehicle_ports(i)[0] for i in range(n)), TRACKER_PORTS[0]]

@@ -1,22 +1,27 @@
 """Whatever message anybody sends to anybody, well-formed and absurd: nothing changes but what its sender may change."""
 
+import socket
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 from dialects import FOREIGN, OURS, absurd
+from fuzz import a_server, hear
 from test_arducopter import flying as arducopter_flying
 from test_px4 import flying as px4_flying
 from workbench import BODY, LINKS, TICK, Bench, target
 
+from bridge.link import Received
+from bridge.sources import Sources
 from bridge.wire.dialect import mavlink
 from bridge.wire.frames import frame
-from bridge.wire.messages import KINDS, decode
-from bridge.wire.values import IN_AIR
+from bridge.wire.messages import KINDS, decode, encode
+from bridge.wire.values import IN_AIR, Heartbeat, ParamRequestRead, Ping
 from sitl.firmware.arducopter import ArduCopter
 from sitl.firmware.autopilot import Autopilot
 from sitl.firmware.px4 import Px4
+from sitl.settings import Event
 
 HERE = 1  # the vehicle's own system id
 SENDERS = {
@@ -151,3 +156,75 @@ def test_kinds_of_other_dialects_are_known_by_no_reader() -> None:
     assert len(FOREIGN) > 100
     assert not set(FOREIGN) & set(KINDS)
     assert set(OURS) == set(KINDS) == set(mavlink.mavlink_map)
+
+
+def test_a_handler_that_fails_costs_its_frame_is_counted_and_told_once(offset: int) -> None:
+    told: list[Event] = []
+    server = a_server(offset, None)
+    server._sink = lambda message: told.append(message) if isinstance(message, Event) else None
+    sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    to = [server.link.ports[0].endpoint.bind]
+    first = server.vehicles[0]
+
+    class Fixed:
+        rng = np.random.default_rng(1)
+
+    def fails(*_: object) -> None:
+        raise ZeroDivisionError("a fault")
+
+    first._service = fails  # type: ignore[method-assign]
+    request, ping = ParamRequestRead(1, 1, "MAV_SYS_ID"), Ping(1, 2, 0, 0)
+    for _ in range(3):
+        hear(server, sender, to, [frame(encode(value), 0, 255, 190) for value in (request, ping)], Fixed())  # type: ignore[arg-type]
+        server._one_tick()
+        server._tick += 1
+    server.close()
+    sender.close()
+    assert server._mishandled.counts == {"PARAM_REQUEST_READ": 3}
+    assert [e.kind for e in told].count("mishandled") == 1
+    assert "PARAM_REQUEST_READ of 255/190 could not be handled" in next(e.text for e in told if e.kind == "mishandled")
+    assert server.report().mishandled == {"PARAM_REQUEST_READ": 3}
+
+
+class TestSources:
+    """The controller hears each system of the flight from one place."""
+
+    HERE, ELSEWHERE = ("127.0.0.1", 1), ("127.0.0.1", 2)
+
+    def beat(self, system: int, seq: int, address: tuple[str, int], autopilot: int = 12) -> Received:
+        value = Heartbeat(2, autopilot, 81, 0, 4)
+        whole = frame(encode(value), seq, system, 1)
+        return Received(0, address, system, 1, seq, 0, "HEARTBEAT", whole, value)
+
+    def test_an_autopilots_heartbeat_makes_its_place_known_and_a_ground_stations_does_not(self) -> None:
+        sources = Sources(4, {})
+        assert not sources.take(self.beat(1, 0, self.ELSEWHERE, autopilot=8))
+        assert sources.take(self.beat(1, 0, self.HERE))
+        assert sources.routes == {1: (0, self.HERE)}
+        assert not sources.take(self.beat(1, 1, self.ELSEWHERE))
+        assert "from 127.0.0.1:2 are left out" in sources.said()
+        assert sources.said() == ""
+
+    def test_copies_by_another_way_are_no_rival_and_beats_of_its_own_are(self) -> None:
+        copied, own = Sources(4, {}), Sources(4, {})
+        for sources in (copied, own):
+            assert sources.take(self.beat(1, 0, self.HERE))
+        for seq in range(1, 10):
+            copied.take(self.beat(1, seq, self.ELSEWHERE))  # a router is quicker than the vehicle itself
+            copied.heard(self.beat(1, seq, self.HERE))
+            own.take(self.beat(1, 100 + seq, self.ELSEWHERE))
+            own.heard(self.beat(1, seq, self.HERE))
+        assert copied.rival is None
+        assert "two vehicles have system id 1" in (own.rival or "")
+
+    def test_where_places_are_given_nobody_else_is_a_rival(self) -> None:
+        sources = Sources(4, {1: (0, self.HERE)})
+        for seq in range(10):
+            assert not sources.take(self.beat(1, seq, self.ELSEWHERE))
+        assert sources.rival is None
+        assert sources.foreign == 10
+
+    def test_an_operator_may_speak_whoever_flies(self) -> None:
+        sources = Sources(4, {})
+        assert sources.take(self.beat(255, 0, self.ELSEWHERE, autopilot=8))
+        assert sources.routes == {}

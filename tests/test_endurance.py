@@ -1,5 +1,6 @@
 """The short form of what `.ci/run --full` does at length: hostile frames, and a long flight over a lossy link."""
 
+from pathlib import Path
 from typing import Any
 
 from fuzz import a_server, fuzz, hear, in_flight, state
@@ -9,6 +10,7 @@ from strangers import strangers
 from bridge.wire.frames import frame
 from bridge.wire.messages import encode
 from bridge.wire.values import Command, ParamSet
+from missions.keys import write_key
 
 
 def test_twenty_thousand_hostile_frames_change_nothing_that_they_may_not(offset: int) -> None:
@@ -56,7 +58,11 @@ def test_a_flight_among_strangers_who_send_every_kind_of_message_decides_the_sam
     assert figures["decisions_compared"] > 3000
 
 
-def test_a_mission_of_arducopters_among_strangers_decides_the_same(offset: int) -> None:
-    figures = strangers(0.0, offset, 2, "ground-to-ground", "--firmware", "arducopter")
+def test_a_signed_mission_of_arducopters_among_strangers_without_a_key_decides_the_same(
+    offset: int, tmp_path: Path
+) -> None:
+    key = tmp_path / "key"
+    write_key(key)
+    figures = strangers(0.0, offset, 2, "ground-to-ground", "--firmware", "arducopter", "--signing-key", str(key))
     assert figures["kinds"] > 350
     assert figures["decisions_compared"] > 2500

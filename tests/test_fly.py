@@ -109,7 +109,10 @@ def test_two_runs_with_one_seed_have_equal_logs(tmp_path: Path, offset: int) -> 
 
 
 def test_failed_criteria_are_named_and_exit_with_one(tmp_path: Path, offset: int) -> None:
-    summary = flown("--out", str(tmp_path), "--no-replay", "--duration", "1", "--port-offset", str(offset))
+    source = scenario.text("paper-case-1").replace("speed_m_s = 0.02", "speed_m_s = 1e-12")
+    path = tmp_path / "strict.toml"
+    path.write_text(source)
+    summary = flown(str(path), "--out", str(tmp_path), "--no-replay", "--port-offset", str(offset))
     assert summary["exit_code"] == 1
     assert "speed_m_s is" in summary["reason"]
 
@@ -261,7 +264,7 @@ def test_a_nan_setpoint_stops_the_motors_and_the_vehicle_says_so(offset: int) ->
     assert any("thrust is not finite, motors off" in t for t in texts), texts
 
 
-def test_a_port_in_use_is_named_and_exits_with_one(tmp_path: Path, offset: int) -> None:
+def test_a_port_in_use_is_named_and_is_no_verdict_on_a_flight(tmp_path: Path, offset: int) -> None:
     taken = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     taken.bind(("127.0.0.1", 14541 + offset))
     for command in ("fly", "sitl"):
@@ -273,7 +276,7 @@ def test_a_port_in_use_is_named_and_exits_with_one(tmp_path: Path, offset: int) 
             taken.bind(("127.0.0.1", 14582 + offset))
             port = 14582 + offset
         code, _, err = cablequad(command, "--port-offset", str(offset), *more)
-        assert code == 1
+        assert code == 3
         assert f"127.0.0.1:{port}" in err
         assert "in use" in err
         assert "Traceback" not in err
