@@ -465,6 +465,13 @@ class TestPositionTargets:
         assert np.linalg.norm(b.point.x - start) < 0.1
         assert b.vehicle.mode_name == "GUIDED"
 
+    def test_accelerations_alone_leave_it_where_it_is(self) -> None:
+        b = self.up()
+        start = b.point.x.copy()
+        b.send(self.target(type_mask=0xC3F, a=(2.0, 0.0, 0.0)))
+        b.drive(2.0)
+        assert np.linalg.norm(b.point.x - start) < 0.05
+
     def test_do_reposition_changes_into_guided_only_where_it_says_so(self) -> None:
         b = self.up()
         b.command(176, 1, LOITER)

@@ -400,7 +400,7 @@ def test_physics_alone_answers_in_joint_lockstep_and_goes_no_further_than_the_sl
     for i in range(2):
         peer = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         peer.connect(("127.0.0.1", 9002 + offset + 10 * i))
-        peer.settimeout(2.0)
+        peer.settimeout(60.0)  # the first step may have to be compiled
         peers.append(peer)
     thread.start()
     try:
@@ -411,7 +411,7 @@ def test_physics_alone_answers_in_joint_lockstep_and_goes_no_further_than_the_sl
                 peers[0].settimeout(0.02)
                 with pytest.raises(TimeoutError):
                     peers[0].recv(4096)  # the other has not spoken
-                peers[0].settimeout(2.0)
+                peers[0].settimeout(60.0)
             peers[1].send(packet(frame, 1000))
             for peer in peers:
                 told = simulator_json(peer.recv(4096))

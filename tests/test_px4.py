@@ -527,6 +527,13 @@ def test_body_velocities_turn_with_the_nose_and_unknown_frames_are_told() -> Non
     assert any("coordinate frame 0 unsupported" in text for text in b.texts())
 
 
+def test_accelerations_alone_leave_it_where_it_is() -> None:
+    b = in_offboard_at_altitude()
+    start = b.point.x.copy()
+    streamed(b, position_target(type_mask=0xC3F, a=(2.0, 0.0, 0.0)), 3.0)
+    assert np.linalg.norm(b.point.x - start) < 0.05
+
+
 def test_a_stream_of_positions_that_ends_is_a_lost_offboard_signal() -> None:
     b = in_offboard_at_altitude()
     b.drive(1.5)
