@@ -14,9 +14,9 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from logs import reader
-from missions import scenario as scenarios
-from missions.run import Options, Progress, run
+from logs.reading import reader
+from missions.flight.run import Options, Progress, run
+from missions.scenario import scenario as scenarios
 
 PROTOTYPE = {
     "paper-case-1-50hz": {"error_8_10_m": 0.012},

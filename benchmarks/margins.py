@@ -12,9 +12,9 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from missions import scenario as scenarios
-from missions.margins import measure
-from missions.report import margin_text
+from missions.analysis.margins import measure
+from missions.flight.report import margin_text
+from missions.scenario import scenario as scenarios
 
 
 def drawn(seed: int) -> str:

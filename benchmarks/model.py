@@ -19,11 +19,13 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.peer import apply_forces, model_of, set_state
-from cablequad import lie
 from cablequad._jit import jit
-from cablequad.attitude import Airframe
-from cablequad.design import Weights, continuous_law
-from cablequad.dynamics import (
+from cablequad.analysis.rollout import Timing, rollout
+from cablequad.control.design import Weights, continuous_law
+from cablequad.control.trajectory import Reference
+from cablequad.model import lie
+from cablequad.model.attitude import Airframe
+from cablequad.model.dynamics import (
     Accelerations,
     Workspace,
     _solve_payload,
@@ -33,12 +35,10 @@ from cablequad.dynamics import (
     energy,
     kinetic_energy,
 )
-from cablequad.integrate import Command, Scratch, _finish, _stage, advance, scratch
-from cablequad.rollout import Timing, rollout
-from cablequad.state import State, positions
-from cablequad.system import Cable, Payload, Quadrotor, System
-from cablequad.trajectory import Reference
-from missions.batch import spread
+from cablequad.model.integrate import Command, Scratch, _finish, _stage, advance, scratch
+from cablequad.model.state import State, positions
+from cablequad.model.system import Cable, Payload, Quadrotor, System
+from missions.analysis.batch import spread
 
 SIZES = [(4, 5), (4, 20), (4, 80), (16, 10), (64, 50)]
 MUJOCO_UP_TO = 400  # links: beyond that a single step of MuJoCo takes longer than this benchmark should
@@ -324,7 +324,7 @@ def starts() -> dict:
         firsts, wholes = [], []
         for _ in range(3):
             begun = time.perf_counter()
-            child = subprocess.Popen([sys.executable, "-m", "missions.cli", *arguments], stdout=subprocess.PIPE)
+            child = subprocess.Popen([sys.executable, "-m", "missions.cli.cli", *arguments], stdout=subprocess.PIPE)
             assert child.stdout is not None
             child.stdout.readline()
             firsts.append(time.perf_counter() - begun)

@@ -3,9 +3,9 @@
 import mujoco
 import numpy as np
 
-from cablequad import lie
-from cablequad.state import State
-from cablequad.system import System
+from cablequad.model import lie
+from cablequad.model.state import State
+from cablequad.model.system import System
 
 POINT = 1e-11  # kg m2, inertia of a point mass
 

@@ -20,15 +20,15 @@ from mcap.writer import CompressionType, Writer
 from rich.console import Console
 from rich.table import Table
 
-from logs import replay
-from logs.reader import read
-from logs.recorder import CHUNK_BYTES
-from logs.records import entries
+from logs.reading.reader import read
+from logs.reading.records import entries
 from logs.schema import cablequad_pb2 as pb
-from logs.serialize import LogWriter, Waiting, serialized
-from missions import scenario as scenarios
-from missions.run import Options, Progress, run
-from missions.scribe import TOGETHER, Scribe
+from logs.views import replay
+from logs.writing.recorder import CHUNK_BYTES
+from logs.writing.serialize import LogWriter, Waiting, serialized
+from missions.flight.recording.scribe import TOGETHER, Scribe
+from missions.flight.run import Options, Progress, run
+from missions.scenario import scenario as scenarios
 
 WARM_S = 4.0  # of a flight's clock, before which nothing is measured
 

@@ -20,24 +20,24 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from bridge import decide
-from bridge.fleet import Fleet
-from bridge.link import Link
-from bridge.observe import Observer
+from bridge.fleet.fleet import Fleet
+from bridge.loop import decide
+from bridge.loop.observe import Observer
 from bridge.wire.dialect import mavlink
 from bridge.wire.frames import frame
-from bridge.wire.load import LoadReport
+from bridge.wire.link import Link
 from bridge.wire.messages import decode, encode
 from bridge.wire.values import AttitudeTarget, CableShape, PayloadState, VehicleAttitude, VehiclePosition
-from cablequad import lie
-from cablequad.instant import row
-from cablequad.state import State
-from missions import scenario as scenarios
-from missions import simulate
-from missions.run import Options, Progress, run
-from missions.scribe import Scribe
+from cablequad.model import lie
+from cablequad.model.instant import row
+from cablequad.model.state import State
+from missions.flight import simulate
+from missions.flight.recording.scribe import Scribe
+from missions.flight.run import Options, Progress, run
+from missions.scenario import scenario as scenarios
 from sitl.firmware.autopilot import Autopilot, Body, LinkKind
 from sitl.firmware.px4 import Px4
+from sitl.load import LoadReport
 from sitl.plant import Plant
 from sitl.tracker import Tracker
 

@@ -8,14 +8,14 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from benchmarks.model import hover, swinging
-from cablequad.attitude import Airframe
-from cablequad.certificate import attitude_gains, certify
-from cablequad.design import Weights, continuous_law
-from cablequad.dynamics import accelerations, energy
-from cablequad.integrate import advance, scratch
-from cablequad.linear import linearize
-from cablequad.state import State
-from cablequad.system import System
+from cablequad.analysis.certificate import attitude_gains, certify
+from cablequad.control.design import Weights, continuous_law
+from cablequad.model.attitude import Airframe
+from cablequad.model.dynamics import accelerations, energy
+from cablequad.model.integrate import advance, scratch
+from cablequad.model.linear import linearize
+from cablequad.model.state import State
+from cablequad.model.system import System
 
 HERE = Path(__file__).parent
 OUT = HERE / "figures"

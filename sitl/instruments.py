@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bridge.wire.earth import FIELD_GAUSS, pressure_hPa
+from cablequad.model.earth import FIELD_GAUSS, pressure_hPa
 from cablequad.types import Array
 
 

@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from bridge.ports import GROUND_PORT, LISTEN_PORT, TRACKER_PORTS, Endpoint, stream_port, vehicle_ports
+from bridge.wire.ports import GROUND_PORT, LISTEN_PORT, TRACKER_PORTS, Endpoint, stream_port, vehicle_ports
 from sitl.firmware.autopilot import LinkKind
 
 

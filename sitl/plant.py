@@ -6,18 +6,29 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cablequad.air import Air
-from cablequad.attitude import Airframe, Setpoint
-from cablequad.ground import Ground, ground, standing
+from cablequad.environment.air import Air
+from cablequad.environment.ground import Ground, ground, standing
+from cablequad.environment.loose import fly_loose
+from cablequad.environment.rotors import Rotors
+from cablequad.environment.world import (
+    AIR,
+    DRIVEN,
+    GROUND,
+    ROTORS,
+    Whole,
+    World,
+    fly_alone,
+    fly_in,
+    seen,
+    turn_on_stands,
+)
 from cablequad.held import hold
-from cablequad.instant import Motion, Shapes, felt, motion_of, motion_shapes, places, row
-from cablequad.integrate import Command, Scratch, scratch
-from cablequad.loose import fly_loose
-from cablequad.rotors import Rotors
-from cablequad.state import State, positions
-from cablequad.system import System, cut_off, without
+from cablequad.model.attitude import Airframe, Setpoint
+from cablequad.model.instant import Motion, Shapes, felt, motion_of, motion_shapes, places, row
+from cablequad.model.integrate import Command, Scratch, scratch
+from cablequad.model.state import State, positions
+from cablequad.model.system import System, cut_off, without
 from cablequad.types import Array
-from cablequad.world import AIR, DRIVEN, GROUND, ROTORS, Whole, World, fly_alone, fly_in, seen, turn_on_stands
 from sitl.firmware.autopilot import NO_RATE, Actuation
 from sitl.wind import Wind
 
@@ -48,7 +59,7 @@ class Truth(NamedTuple):
 
     boot_us: int
     held: bool
-    row: Array  # of `cablequad.instant`, its own
+    row: Array  # of `cablequad.model.instant`, its own
     shapes: Shapes  # of what is in it
 
     @property

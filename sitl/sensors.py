@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from bridge.wire.telemetry import Snapshot
-from cablequad import lie
-from cablequad.instant import row
-from cablequad.noise import Noise
-from cablequad.state import State
+from cablequad.model import lie
+from cablequad.model.instant import row
+from cablequad.model.noise import Noise
+from cablequad.model.state import State
 from cablequad.types import Array
+from sitl.firmware.telemetry import Snapshot
 from sitl.instruments import Instruments
 from sitl.plant import Truth
 

@@ -5,13 +5,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from bridge.faults import Faults
-from bridge.link import Counters
-from bridge.wire.earth import Home
-from cablequad.attitude import Airframe
-from cablequad.noise import Biases, Noise
-from cablequad.state import State
-from cablequad.system import System
+from bridge.wire.faults import Faults
+from bridge.wire.link import Counters
+from cablequad.model.attitude import Airframe
+from cablequad.model.earth import Home
+from cablequad.model.noise import Biases, Noise
+from cablequad.model.state import State
+from cablequad.model.system import System
 from sitl.batteries import Battery
 from sitl.failures import Failure
 from sitl.instruments import Grades, Instruments

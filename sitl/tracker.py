@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from bridge.link import Address, Link
 from bridge.wire.dialect import mavlink
 from bridge.wire.frames import Packed, pack
-from bridge.wire.load import LoadReport
+from bridge.wire.link import Address, Link
 from bridge.wire.messages import encode
 from bridge.wire.values import Heartbeat, VehicleAttitude, VehiclePosition
 from cablequad.types import Counts
+from sitl.load import LoadReport
 from sitl.plant import Truth
 
 SYSTEM, COMPONENT = 200, 191

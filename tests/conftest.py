@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
-from cablequad import lie
-from cablequad.state import State
-from cablequad.system import Cable, Payload, Quadrotor, System
+from cablequad.model import lie
+from cablequad.model.state import State
+from cablequad.model.system import Cable, Payload, Quadrotor, System
 
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # hundreds of processes start here: what one compiles, all may load
 

@@ -10,9 +10,10 @@ from typing import Any
 
 from numba.core.dispatcher import Dispatcher
 
-from bridge.link import Received
+from bridge.wire.link import Received
 from bridge.wire.values import AttitudeTarget
-from missions import run, scenario, simulate
+from missions.flight import run, simulate
+from missions.scenario import scenario
 from sitl.server import Server
 
 LEVEL = (1.0, 0.0, 0.0, 0.0)

@@ -19,8 +19,8 @@ from typing import Any
 
 from mcap.reader import make_reader
 
-from logs.recorder import EPOCH_NS
 from logs.schema import cablequad_pb2 as pb
+from logs.writing.recorder import EPOCH_NS
 
 SETTLED = 0.2  # of the flight, after which memory may no longer grow
 
@@ -62,7 +62,7 @@ def soak(minutes: float, loss: float, offset: int) -> dict[str, Any]:
         folder = Path(name)
         begun = time.monotonic()
         flying = subprocess.Popen(
-            [sys.executable, "-m", "missions.cli", "fly", str(lossy(minutes, loss, folder)), "--json", "--no-replay",
+            [sys.executable, "-m", "missions.cli.cli", "fly", str(lossy(minutes, loss, folder)), "--json", "--no-replay",
              "--out", str(folder), "--port-offset", str(offset)],
             stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         )  # fmt: skip

@@ -22,9 +22,9 @@ from typing import Any
 import numpy as np
 from dialects import FOREIGN, OURS, absurd
 
-from bridge.ports import GROUND_PORT, LISTEN_PORT, TRACKER_PORTS, vehicle_ports
 from bridge.wire.frames import frame
-from logs.records import entries
+from bridge.wire.ports import GROUND_PORT, LISTEN_PORT, TRACKER_PORTS, vehicle_ports
+from logs.reading.records import entries
 
 VEHICLES = 4
 COMPARED = ("/control/state", "/control/reference", "/plant/state", "/event", "/plant/event")
@@ -45,7 +45,7 @@ def ports(offset: int) -> list[int]:
 def fly(scenario: str, seconds: float, out: Path, offset: int, *more: str) -> subprocess.Popen[str]:
     """Start the flight, as the command line does."""
     command = [
-        sys.executable, "-m", "missions.cli", "fly", scenario, "--json", "--no-replay", "--out", str(out),
+        sys.executable, "-m", "missions.cli.cli", "fly", scenario, "--json", "--no-replay", "--out", str(out),
         "--port-offset", str(offset), *more,
     ]  # fmt: skip
     if seconds:

@@ -9,8 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from workbench import BODY, LEVEL, LINKS, ROLLED, ROLLED_QUAT, TICK, Bench, target
 
-from bridge.thrust import LinearShare
-from bridge.wire.earth import Home, geodetic
+from bridge.fleet.thrust import LinearShare
 from bridge.wire.values import (
     IN_AIR,
     CommandAck,
@@ -24,7 +23,8 @@ from bridge.wire.values import (
     SetMode,
     Timesync,
 )
-from cablequad import lie
+from cablequad.model import lie
+from cablequad.model.earth import Home, geodetic
 from sitl.firmware.arducopter import ArduCopter
 
 STABILIZE, GUIDED, LOITER, RTL, LAND, BRAKE, NOGPS = 0, 4, 5, 6, 9, 17, 20

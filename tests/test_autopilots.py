@@ -23,17 +23,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mav
 
-from bridge.relate import Relation
-from bridge.wire.earth import Home
+from bridge.loop.relate import Relation
 from bridge.wire.values import Origin, Timesync, VehicleAttitude, VehiclePosition
-from cablequad import lie
-from logs.reader import Run, read
+from cablequad.model import lie
+from cablequad.model.earth import Home
+from logs.reading.reader import Run, read
 from logs.schema import cablequad_pb2 as pb
-from missions import scenario as scenarios
-from missions.identify import answers, fitted
-from missions.launch import ardupilot_parameters, authority, launches, px4_parameters
-from missions.scenario import ScenarioError
-from missions.simulate import Serving, settings
+from missions.analysis.identify import answers, fitted
+from missions.flight.launch import ardupilot_parameters, authority, launches, px4_parameters
+from missions.flight.simulate import Serving, settings
+from missions.scenario import scenario as scenarios
+from missions.scenario.scenario import ScenarioError
 from sitl.external import ardupilot, px4
 from sitl.external.ardupilot import ArduPilotSeat, PacketError, servos
 from sitl.external.joint import AutopilotError, JointServer, Steps, steps

@@ -5,9 +5,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from cablequad.rollout import Timing, rollout
-from cablequad.trajectory import at
-from missions import scenario
+from cablequad.analysis.rollout import Timing, rollout
+from cablequad.control.trajectory import at
+from missions.scenario import scenario
 
 
 @pytest.fixture(scope="module")

@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 from conftest import cablequad
 
-from cablequad.attitude import Airframe
-from cablequad.certificate import AttitudeGains, attitude_gains, certify, higher_order_slope
-from cablequad.design import HOVER_N, Weights, continuous_law, sampled_law
-from cablequad.geometric import AttitudeCommand, attitude_error, moment
-from cablequad.margins import margins, modes
-from cablequad.rollout import Timing, rollout
-from cablequad.state import State
-from cablequad.system import Cable, Payload, Quadrotor, System
-from cablequad.trajectory import Reference
-from missions import scenario
-from missions.check import check
+from cablequad.analysis.certificate import AttitudeGains, attitude_gains, certify, higher_order_slope
+from cablequad.analysis.margins import margins, modes
+from cablequad.analysis.rollout import Timing, rollout
+from cablequad.control.design import HOVER_N, Weights, continuous_law, sampled_law
+from cablequad.control.geometric import AttitudeCommand, attitude_error, moment
+from cablequad.control.trajectory import Reference
+from cablequad.model.attitude import Airframe
+from cablequad.model.state import State
+from cablequad.model.system import Cable, Payload, Quadrotor, System
+from missions.analysis.check import check
+from missions.scenario import scenario
 
 PAPER = System.paper(1)
 AIRFRAME = Airframe(np.full(4, 40.0), np.full(4, 0.9), np.full(4, 25.0))
@@ -61,7 +61,7 @@ class TestMisprintsOfTheProof:
         rng = np.random.default_rng(0)
         k_R, k_O = 5.0, 0.4
         c_2 = 0.3 * min(np.sqrt(k_R * LOW) / HIGH, 4 * k_R * k_O / (8 * k_R * HIGH + k_O**2))
-        from cablequad import lie
+        from cablequad.model import lie
 
         still = AttitudeCommand(np.eye(3), np.zeros(3), np.zeros(3))
 
@@ -89,7 +89,7 @@ class TestMisprintsOfTheProof:
     def test_z1_dot_has_the_attitude_error_with_a_minus(self) -> None:
         """A force that is projected from A_i on R_i e3 is A_i - X_i, so M xddot + G x = B (du_A - X)."""
         rng = np.random.default_rng(1)
-        from cablequad import lie
+        from cablequad.model import lie
 
         A = np.array([0.3, -0.5, -9.0])
         R_c = np.stack([np.zeros(3), np.zeros(3), -A / np.linalg.norm(A)], axis=1)
@@ -103,8 +103,8 @@ class TestMisprintsOfTheProof:
 
     def test_virtual_work_moves_quadrotors_by_xi_cross_q(self) -> None:
         """delta x_i = .. - sum l_ij xi_ij x q_ij: a rotation, where xi_dot is printed (a rate, in other units)."""
-        from cablequad import lie
-        from cablequad.state import positions
+        from cablequad.model import lie
+        from cablequad.model.state import positions
 
         state = State.hanging(PAPER)
         xi = np.array([0.4, -0.2, 0.0])
@@ -219,8 +219,8 @@ def test_check_prints_a_page_and_an_object() -> None:
 
 
 def test_region_of_attraction_by_simulation_is_larger_than_what_is_certified() -> None:
-    from missions import scenario
-    from missions.check import DIRECTIONS, _reach
+    from missions.analysis.check import DIRECTIONS, _reach
+    from missions.scenario import scenario
 
     flight = scenario.load("paper-case-1")
     row = _reach(scenario.design(flight), flight, len(DIRECTIONS) - 1)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from conftest import cablequad, flown
 
-from cablequad.trajectory import Limits, at
-from missions import course, scenario
+from cablequad.control.trajectory import Limits, at
+from missions.scenario import course, scenario
 
-SCRIPTS = Path(course.__file__).parent / "scripts"
+SCRIPTS = Path(course.__file__).parents[1] / "scripts"
 
 
 def script(tmp_path: Path, body: str) -> Path:

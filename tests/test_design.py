@@ -4,15 +4,23 @@ import numpy as np
 import pytest
 from conftest import irregular
 
-from cablequad.attitude import Airframe, Setpoint, flown
-from cablequad.design import Weights, continuous_law, flown_model, loop_gains, sampled_law, sampled_loop, state_space
-from cablequad.pilot import Measurement, first_memory, tick
-from cablequad.reach import OUTPUTS, held_outputs, reach
-from cablequad.rollout import Timing, rollout
-from cablequad.state import State
-from cablequad.stiffness import stable_substep, stiffest_mode
-from cablequad.system import Cable, Payload, Quadrotor, System
-from cablequad.trajectory import Limits, Reference, at, leg
+from cablequad.analysis.rollout import Timing, rollout
+from cablequad.control.design import (
+    Weights,
+    continuous_law,
+    flown_model,
+    loop_gains,
+    sampled_law,
+    sampled_loop,
+    state_space,
+)
+from cablequad.control.pilot import Measurement, first_memory, tick
+from cablequad.control.trajectory import Limits, Reference, at, leg
+from cablequad.model.attitude import Airframe, Setpoint, flown
+from cablequad.model.reach import OUTPUTS, held_outputs, reach
+from cablequad.model.state import State
+from cablequad.model.stiffness import stable_substep, stiffest_mode
+from cablequad.model.system import Cable, Payload, Quadrotor, System
 
 PAPER = System.paper(1)
 TARGET = Reference(np.array([0.44, 0.78, -0.5]), np.zeros(3))
@@ -45,7 +53,7 @@ def test_the_sampled_model_predicts_what_the_simulator_does() -> None:
     a = 1e-3 * rng.normal(size=(4, 3))
     state = State.hanging(PAPER)
     force = design.u_star + a
-    from cablequad.geometric import attitude_of_force
+    from cablequad.control.geometric import attitude_of_force
 
     R_c = np.stack([attitude_of_force(force[i], design.b1[i]) for i in range(4)])
     after = flown(PAPER, airframe(4), Setpoint.attitude(R_c, -force[:, 2]), state, 1e-5, 400)

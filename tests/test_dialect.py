@@ -12,10 +12,10 @@ from test_arducopter import flying as arducopter_flying
 from test_px4 import flying as px4_flying
 from workbench import BODY, LINKS, TICK, Bench, target
 
-from bridge.link import Received
-from bridge.sources import Sources
+from bridge.fleet.sources import Sources
 from bridge.wire.dialect import mavlink
 from bridge.wire.frames import frame
+from bridge.wire.link import Received
 from bridge.wire.messages import KINDS, decode, encode
 from bridge.wire.values import IN_AIR, Heartbeat, ParamRequestRead, Ping
 from sitl.firmware.arducopter import ArduCopter

@@ -6,12 +6,12 @@ from conftest import irregular, random_state, random_system
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cablequad import lie
-from cablequad.dynamics import accelerations, dense, energy, kinetic_energy, momentum
-from cablequad.integrate import Command, advance, scratch, step
-from cablequad.jerk import link_accelerations
-from cablequad.state import State, positions, velocities
-from cablequad.system import System
+from cablequad.control.jerk import link_accelerations
+from cablequad.model import lie
+from cablequad.model.dynamics import accelerations, dense, energy, kinetic_energy, momentum
+from cablequad.model.integrate import Command, advance, scratch, step
+from cablequad.model.state import State, positions, velocities
+from cablequad.model.system import System
 
 SEEDS = st.integers(0, 2**32)
 
@@ -207,7 +207,7 @@ class TestMisprints:
 
 
 def test_zero_link_cables_and_massless_parts_are_refused_by_name() -> None:
-    from cablequad.system import Cable, Payload, Quadrotor
+    from cablequad.model.system import Cable, Payload, Quadrotor
 
     q, c = Quadrotor(0.7, (5e-3, 5e-3, 9e-3)), Cable([0.01], [0.3])
     load = Payload(0.5, (1e-2, 1e-2, 1e-2), [(0.1, 0.0, -0.1)])

@@ -8,9 +8,9 @@ from soak import soak
 from strangers import strangers
 
 from bridge.wire.frames import frame
+from bridge.wire.keys import write_key
 from bridge.wire.messages import encode
 from bridge.wire.values import Command, ParamSet
-from missions.keys import write_key
 
 
 def test_twenty_thousand_hostile_frames_change_nothing_that_they_may_not(offset: int) -> None:

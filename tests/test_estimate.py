@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from cablequad import lie
-from cablequad.attitude import Airframe, Setpoint
-from cablequad.design import Weights, sampled_law
-from cablequad.estimate import corrected, first_belief, nothing_seen, observer, predicted
-from cablequad.noise import Noise
-from cablequad.rollout import Timing, rollout
-from cablequad.state import State, positions, velocities
-from cablequad.system import Cable, Payload, Quadrotor, System, box_inertia
-from cablequad.trajectory import Limits, at, leg
+from cablequad.analysis.rollout import Timing, rollout
+from cablequad.control.design import Weights, sampled_law
+from cablequad.control.estimate import corrected, first_belief, nothing_seen, observer, predicted
+from cablequad.control.trajectory import Limits, at, leg
+from cablequad.model import lie
+from cablequad.model.attitude import Airframe, Setpoint
+from cablequad.model.noise import Noise
+from cablequad.model.state import State, positions, velocities
+from cablequad.model.system import Cable, Payload, Quadrotor, System, box_inertia
 
 NOISE = Noise(0.01, 0.02, np.radians(0.5), np.radians(1.0))
 

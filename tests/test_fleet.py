@@ -5,12 +5,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bridge.fleet import Fleet
-from bridge.gate import Gate
-from bridge.observe import Loop, Observer
-from bridge.profiles import PROFILES
-from bridge.thrust import ThrustScale, made_thrust_N
-from bridge.vehicle import Request, Stage
+from bridge.fleet.fleet import Fleet
+from bridge.fleet.profiles import PROFILES
+from bridge.fleet.thrust import ThrustScale, made_thrust_N
+from bridge.fleet.vehicle import Request, Stage
+from bridge.loop.gate import Gate
+from bridge.loop.observe import Loop, Observer
 from bridge.wire.values import (
     CableShape,
     Command,
@@ -26,10 +26,10 @@ from bridge.wire.values import (
     VehicleAttitude,
     VehiclePosition,
 )
-from cablequad import lie
-from cablequad.attitude import Airframe, Setpoint, flown
-from cablequad.state import State, positions
-from cablequad.system import System
+from cablequad.model import lie
+from cablequad.model.attitude import Airframe, Setpoint, flown
+from cablequad.model.state import State, positions
+from cablequad.model.system import System
 
 PX4, ARDUCOPTER = 12, 3
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from conftest import flown, next_offset
 
-from logs.reader import Run, read
-from missions import scenario
+from logs.reading.reader import Run, read
+from missions.scenario import scenario
 
 FLOWN_ELSEWHERE = {"paper-case-1"}  # by test_fly.py
 

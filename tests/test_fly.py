@@ -15,15 +15,15 @@ import pytest
 from conftest import Command, cablequad, flown, next_offset, wait_for_line
 from mcap.reader import make_reader
 
-from bridge.link import Endpoint, Link
-from bridge.ports import GROUND_PORT
 from bridge.wire.dialect import mavlink
+from bridge.wire.link import Endpoint, Link
+from bridge.wire.ports import GROUND_PORT
 from bridge.wire.values import VehicleAttitude
-from cablequad.rollout import Timing, rollout
-from cablequad.trajectory import at
-from logs.reader import read
-from logs.records import entries
-from missions import scenario
+from cablequad.analysis.rollout import Timing, rollout
+from cablequad.control.trajectory import at
+from logs.reading.reader import read
+from logs.reading.records import entries
+from missions.scenario import scenario
 
 TARGET = np.array([0.44, 0.78, -0.5])
 

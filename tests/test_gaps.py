@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from conftest import flown
 
-from logs.reader import read
-from missions import gaps
+from logs.reading.reader import read
+from missions.flight.recording import gaps
 
 STEPS, LATE_FROM = 60, 30
 

@@ -6,15 +6,22 @@ from conftest import random_state
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cablequad import lie
-from cablequad.attitude import Airframe
-from cablequad.design import Weights, continuous_law
-from cablequad.geometric import AttitudeCommand, attitude_command, attitude_error, attitude_of_force, moment, thrust
-from cablequad.integrate import step
-from cablequad.paper_law import Gains, commands, ideal_forces
-from cablequad.rollout import paper_flight
-from cablequad.state import State
-from cablequad.system import System
+from cablequad.analysis.rollout import paper_flight
+from cablequad.control.design import Weights, continuous_law
+from cablequad.control.geometric import (
+    AttitudeCommand,
+    attitude_command,
+    attitude_error,
+    attitude_of_force,
+    moment,
+    thrust,
+)
+from cablequad.control.paper_law import Gains, commands, ideal_forces
+from cablequad.model import lie
+from cablequad.model.attitude import Airframe
+from cablequad.model.integrate import step
+from cablequad.model.state import State
+from cablequad.model.system import System
 
 GAINS = Gains(np.full(4, 900 * 0.557e-2), np.full(4, 54 * 0.557e-2))
 E1 = np.array([1.0, 0.0, 0.0])

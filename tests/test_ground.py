@@ -6,14 +6,24 @@ import numpy as np
 import pytest
 from conftest import flown, next_offset
 
-from cablequad import lie
-from cablequad.dynamics import accelerations, energy
-from cablequad.ground import Ground, advance_on, box_corners, deepest, ground, nothing, press, standing, stored
-from cablequad.integrate import Command, scratch
-from cablequad.rotors import Rotors, spin
-from cablequad.state import State, positions, velocities
-from cablequad.system import System, cut_off, without
-from missions.redecide import redecide
+from cablequad.environment.ground import (
+    Ground,
+    advance_on,
+    box_corners,
+    deepest,
+    ground,
+    nothing,
+    press,
+    standing,
+    stored,
+)
+from cablequad.environment.rotors import Rotors, spin
+from cablequad.model import lie
+from cablequad.model.dynamics import accelerations, energy
+from cablequad.model.integrate import Command, scratch
+from cablequad.model.state import State, positions, velocities
+from cablequad.model.system import System, cut_off, without
+from missions.analysis.redecide import redecide
 
 H = 1e-3
 FEET = np.array([(a, b, 0.1) for a in (-0.12, 0.12) for b in (-0.12, 0.12)])

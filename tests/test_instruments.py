@@ -8,13 +8,13 @@ from conftest import flown, next_offset
 from pymavlink.dialects.v20 import common as mav
 
 from bridge.wire.dialect import mavlink
-from bridge.wire.earth import RADIUS_M, Home, altitude_m
-from cablequad import lie
-from logs.reader import read
-from logs.records import entries
+from cablequad.model import lie
+from cablequad.model.earth import RADIUS_M, Home, altitude_m
+from logs.reading.reader import read
+from logs.reading.records import entries
 from logs.schema import cablequad_pb2 as pb
-from missions import scenario as scenarios
-from missions.simulate import Serving, settings
+from missions.flight.simulate import Serving, settings
+from missions.scenario import scenario as scenarios
 from sitl.batteries import Batteries, Battery
 from sitl.instruments import Grades, Instruments
 from sitl.settings import plant_of

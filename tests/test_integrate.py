@@ -7,12 +7,12 @@ import pytest
 from conftest import irregular, random_state
 from scipy.integrate import solve_ivp
 
-from cablequad import lie
-from cablequad.dynamics import accelerations
-from cablequad.instant import Motion, motion_of, motion_shapes, places, row
-from cablequad.integrate import Command, step
-from cablequad.state import State
-from cablequad.system import System
+from cablequad.model import lie
+from cablequad.model.dynamics import accelerations
+from cablequad.model.instant import Motion, motion_of, motion_shapes, places, row
+from cablequad.model.integrate import Command, step
+from cablequad.model.state import State
+from cablequad.model.system import System
 
 NUMBA_OFF = os.environ.get("NUMBA_DISABLE_JIT") == "1"
 
@@ -112,7 +112,7 @@ def test_a_step_leaves_its_arguments_alone() -> None:
 def test_a_step_allocates_nothing() -> None:
     from numba.core.runtime import _nrt_python, rtsys
 
-    from cablequad.integrate import advance, scratch
+    from cablequad.model.integrate import advance, scratch
 
     system = irregular()
     state = random_state(system, np.random.default_rng(4))

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
-from cablequad import lie
+from cablequad.model import lie
 
 SEAMS = [0.0, 1e-9, 1e-4, 0.1, math.sqrt(lie.SERIES) * 0.999999, math.sqrt(lie.SERIES) * 1.000001, 1.0, 3.0]
 NEAR_PI = [math.pi - 1e-3, math.pi - 1e-7, math.pi - 1e-10]

@@ -6,11 +6,11 @@ from conftest import random_system
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cablequad import lie
-from cablequad.dynamics import accelerations
-from cablequad.linear import EquilibriumError, equilibrium, equilibrium_forces, linearize, tension_split
-from cablequad.state import Error, State, local, retract
-from cablequad.system import Cable, Payload, Quadrotor, System
+from cablequad.model import lie
+from cablequad.model.dynamics import accelerations
+from cablequad.model.linear import EquilibriumError, equilibrium, equilibrium_forces, linearize, tension_split
+from cablequad.model.state import Error, State, local, retract
+from cablequad.model.system import Cable, Payload, Quadrotor, System
 
 
 def centred(rng: np.random.Generator) -> System:

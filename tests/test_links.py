@@ -10,15 +10,15 @@ from pathlib import Path
 import pytest
 from conftest import Command, cablequad, flown, wait_for_line
 
-from bridge.link import Endpoint, Link
 from bridge.wire.dialect import mavlink
 from bridge.wire.frames import Signer, frame
+from bridge.wire.keys import read_key
+from bridge.wire.link import Endpoint, Link
 from bridge.wire.messages import encode
 from bridge.wire.values import Command as Asked
 from bridge.wire.values import Heartbeat
-from logs.records import entries
+from logs.reading.records import entries
 from logs.schema import cablequad_pb2 as pb
-from missions.keys import read_key
 
 HOSTILE = """
 

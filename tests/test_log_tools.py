@@ -24,16 +24,16 @@ from mcap.reader import make_reader
 from pymavlink import mavutil
 
 from docs.log import page as log_page
-from logs import figures, page, replay, video
-from logs.columns import columns
-from logs.encode import single
-from logs.inspect import check, info, lost
-from logs.messages import Messages
-from logs.motion import motion_of
-from logs.reader import LogError, Run, missing_before, read
-from logs.records import Damage, entries
+from logs.reading.columns import columns
+from logs.reading.inspect import check, info, lost
+from logs.reading.messages import Messages
+from logs.reading.reader import LogError, Run, missing_before, read
+from logs.reading.records import Damage, entries
 from logs.schema import cablequad_pb2 as pb
-from missions.redecide import redecide
+from logs.views import figures, page, replay, video
+from logs.views.motion import motion_of
+from logs.writing.encode import single
+from missions.analysis.redecide import redecide
 
 HERE = Path(__file__).parent
 GOLDEN = sorted((HERE / "golden").glob("*.mcap"))
@@ -354,7 +354,7 @@ def test_a_browser_opens_the_served_replay(tmp_path: Path) -> None:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     server = subprocess.Popen(
-        [sys.executable, "-m", "missions.cli", "replay", str(CASE_2), "--serve", "--port", str(port)],
+        [sys.executable, "-m", "missions.cli.cli", "replay", str(CASE_2), "--serve", "--port", str(port)],
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
     )  # fmt: skip
     try:

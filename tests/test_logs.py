@@ -15,28 +15,28 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
-from bridge.phases import FLY
+from bridge.mission.phases import FLY
 from bridge.wire.frames import frame
 from bridge.wire.messages import encode
 from bridge.wire.values import AttitudeTarget
-from cablequad.attitude import Airframe
-from cablequad.design import Weights, sampled_law
-from cablequad.instant import Motion
-from cablequad.pilot import Measurement, Sample, first_memory, tick
-from cablequad.state import Difference, State, difference, differences, positions
-from cablequad.system import System
-from cablequad.trajectory import Reference
-from logs import recorder as recorders
-from logs.encode import Model, single
-from logs.messages import Messages
-from logs.motion import motion_of
-from logs.reader import LogError, read
-from logs.recorder import Attachment, Decisions, Recorder, RecorderError
-from logs.records import entries, is_complete
+from cablequad.control.design import Weights, sampled_law
+from cablequad.control.pilot import Measurement, Sample, first_memory, tick
+from cablequad.control.trajectory import Reference
+from cablequad.model.attitude import Airframe
+from cablequad.model.instant import Motion
+from cablequad.model.state import Difference, State, difference, differences, positions
+from cablequad.model.system import System
+from logs.reading.messages import Messages
+from logs.reading.reader import LogError, read
+from logs.reading.records import entries, is_complete
 from logs.schema import cablequad_pb2 as pb
 from logs.schema import generate
-from logs.serialize import LogWriter, Waiting, serialized
-from missions.opening import drawn_model
+from logs.views.motion import motion_of
+from logs.writing import recorder as recorders
+from logs.writing.encode import Model, single
+from logs.writing.recorder import Attachment, Decisions, Recorder, RecorderError
+from logs.writing.serialize import LogWriter, Waiting, serialized
+from missions.flight.recording.opening import drawn_model
 
 SYSTEM = System.paper(1)
 MODEL = Model(SYSTEM, (0.6, 0.8, 0.2), (25.0,) * 4)
@@ -358,7 +358,7 @@ def test_differences_of_many_instants_are_those_of_each() -> None:
 
 
 def test_a_replay_passes_reruns_own_verification(tmp_path: Path) -> None:
-    from logs import replay
+    from logs.views import replay
 
     target = tmp_path / "a.rrd"
     replay.save(read(write(tmp_path / "a.mcap", 300).finish()), target)
@@ -368,7 +368,7 @@ def test_a_replay_passes_reruns_own_verification(tmp_path: Path) -> None:
 
 
 def test_a_log_without_a_simulators_truth_is_replayed_from_what_was_measured(tmp_path: Path) -> None:
-    from logs import replay
+    from logs.views import replay
 
     out = Recorder(tmp_path / "m.mcap", MODEL, {"model": drawn_model(MODEL, (0.0, 0.0, 0.0))})
     memory = first_memory(DESIGN)

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from conftest import cablequad
 
-from cablequad.design import sampled_loop
-from cablequad.margins import largest_loss, mismatched, unstable_from
-from missions import margins, scenario
+from cablequad.analysis.margins import largest_loss, mismatched, unstable_from
+from cablequad.control.design import sampled_loop
+from missions.analysis import margins
+from missions.scenario import scenario
 
 ONE = scenario.load("one-vehicle")
 DESIGN = scenario.design(ONE)

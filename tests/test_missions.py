@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 from conftest import Command, cablequad, flown, next_offset
 
-from bridge.each import clear_of
-from bridge.guards import Guard, Watch, separation
-from bridge.phases import ORDER, RULES, Phase
-from bridge.plan_clock import PlanClock
-from logs.reader import Run, read
-from missions import scenario as scenarios
-from missions.drills import compared, drills, harm, rehearsal
-from missions.script import ScriptError, script_from
-from missions.summary import Summary
-from missions.tables import FailureTable
+from bridge.mission.each import clear_of
+from bridge.mission.guards import Guard, Watch, separation
+from bridge.mission.phases import ORDER, RULES, Phase
+from bridge.mission.plan_clock import PlanClock
+from logs.reading.reader import Run, read
+from missions.analysis.drills import compared, drills, harm, rehearsal
+from missions.flight.summary import Summary
+from missions.scenario import scenario as scenarios
+from missions.scenario.script import ScriptError, script_from
+from missions.scenario.tables import FailureTable
 from sitl.failures import Broken, Failure
 from sitl.firmware.autopilot import Actuation
 from sitl.plant import Plant

@@ -6,11 +6,11 @@ import pytest
 from conftest import irregular
 
 from benchmarks.peer import apply_forces, model_of, set_state
-from cablequad import lie
-from cablequad.dynamics import accelerations
-from cablequad.integrate import Command, step
-from cablequad.state import State, positions
-from cablequad.system import System
+from cablequad.model import lie
+from cablequad.model.dynamics import accelerations
+from cablequad.model.integrate import Command, step
+from cablequad.model.state import State, positions
+from cablequad.model.system import System
 
 
 def gentle(system: System, rng: np.random.Generator) -> State:

@@ -9,9 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from workbench import BODY, LINKS, ROLLED, ROLLED_QUAT, TICK, Bench, target
 
-from bridge.thrust import MotorCommand
+from bridge.fleet.thrust import MotorCommand
 from bridge.wire.dialect import mavlink
-from bridge.wire.earth import Home, geodetic
 from bridge.wire.messages import param_bits, param_int
 from bridge.wire.values import (
     IN_AIR,
@@ -35,7 +34,8 @@ from bridge.wire.values import (
     SetMode,
     Timesync,
 )
-from cablequad import lie
+from cablequad.model import lie
+from cablequad.model.earth import Home, geodetic
 from sitl.firmware.px4 import Px4
 
 OFFBOARD, LOITER, POSCTL = 6 << 16, 4 << 16 | 3 << 24, 3 << 16

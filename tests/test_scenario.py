@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from conftest import cablequad
 
-from cablequad import lie
-from cablequad.rollout import Timing, rollout
-from cablequad.trajectory import at
-from missions import scenario
-from missions.scenario import ScenarioError
+from cablequad.analysis.rollout import Timing, rollout
+from cablequad.control.trajectory import at
+from cablequad.model import lie
+from missions.scenario.scenario import ScenarioError, scenario
 
 CASE_1 = scenario.text("paper-case-1")
 
@@ -23,7 +22,7 @@ def test_every_shipped_scenario_loads_and_has_a_controller() -> None:
 
 
 def test_case_1_is_the_papers_system() -> None:
-    from cablequad.system import System
+    from cablequad.model.system import System
 
     flight, paper = scenario.load("paper-case-1"), System.paper(1)
     for ours, theirs in zip(flight.system, paper, strict=True):
@@ -95,7 +94,7 @@ def test_help_is_quick_because_nothing_heavy_is_imported() -> None:
     import subprocess
     import sys
 
-    code = "import sys; import missions.cli; print([m for m in ('numpy', 'numba', 'rerun', 'control') if m in sys.modules])"
+    code = "import sys; import missions.cli.cli; print([m for m in ('numpy', 'numba', 'rerun', 'control') if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
 

@@ -13,15 +13,15 @@ from conftest import Command, flown, next_offset
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bridge.mission import Mission
-from bridge.phases import FLYING, LOADED, Phase
-from bridge.sight import Sight
-from cablequad.design import Design
-from missions import scenario as scenarios
-from missions.mission import plan_of
-from missions.scenario import Flight
-from missions.script import ScriptError, script_from
-from missions.script_runner import COMPUTES_S
+from bridge.mission.mission import Mission
+from bridge.mission.phases import FLYING, LOADED, Phase
+from bridge.mission.sight import Sight
+from cablequad.control.design import Design
+from missions.scenario import scenario as scenarios
+from missions.scenario.mission import plan_of
+from missions.scenario.scenario import Flight
+from missions.scenario.script import ScriptError, script_from
+from missions.scenario.script_runner import COMPUTES_S
 
 PERIOD_S = 0.02
 LONGEST_S = 400.0  # of any mission here
@@ -178,8 +178,8 @@ def test_a_script_that_leaves_nothing_in_the_air_is_no_failure(lines: tuple[str,
     ids=["computes", "sleeps", "computes and swallows every exception"],
 )
 def test_a_script_that_never_awaits_is_given_up(lines: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("missions.script_runner.COMPUTES_S", 0.3)
-    monkeypatch.setattr("missions.script_runner.BLOCKS_S", 0.6)
+    monkeypatch.setattr("missions.scenario.script_runner.COMPUTES_S", 0.3)
+    monkeypatch.setattr("missions.scenario.script_runner.BLOCKS_S", 0.6)
     world = Kinematics(script(*lines))
     m = world.fly()
     assert "without awaiting anything" in (m.failure or "")

@@ -10,10 +10,10 @@ import pytest
 from conftest import Command, cablequad, flown, next_offset
 from strangers import COMPARED
 
-from bridge.ports import Address, DatagramPort
-from logs.records import entries
-from missions import scenario as scenarios
-from missions.run import Options, Progress, run
+from bridge.wire.ports import Address, DatagramPort
+from logs.reading.records import entries
+from missions.flight.run import Options, Progress, run
+from missions.scenario import scenario as scenarios
 
 STALL_S = 8.0  # longer than every wall-clock limit of a flight that is not in lockstep
 

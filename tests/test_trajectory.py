@@ -5,16 +5,10 @@ import itertools
 import numpy as np
 import pytest
 
-from cablequad.attitude import Airframe
-from cablequad.design import Weights, sampled_law
-from cablequad.dynamics import accelerations
-from cablequad.formation import formation
-from cablequad.linear import equilibrium as hang
-from cablequad.linear import equilibrium_forces
-from cablequad.rollout import Timing, rollout
-from cablequad.state import State
-from cablequad.system import System
-from cablequad.trajectory import (
+from cablequad.analysis.rollout import Timing, rollout
+from cablequad.control.design import Weights, sampled_law
+from cablequad.control.formation import formation
+from cablequad.control.trajectory import (
     Limits,
     Reference,
     Trajectory,
@@ -26,6 +20,12 @@ from cablequad.trajectory import (
     lemniscate,
     waypoints,
 )
+from cablequad.model.attitude import Airframe
+from cablequad.model.dynamics import accelerations
+from cablequad.model.linear import equilibrium as hang
+from cablequad.model.linear import equilibrium_forces
+from cablequad.model.state import State
+from cablequad.model.system import System
 
 LIMITS = Limits()
 SYSTEM = System.paper(1)

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from conftest import irregular, random_state
 
-from cablequad.air import Air, drag
-from cablequad.dynamics import accelerations
-from cablequad.integrate import scratch
-from cablequad.state import State, velocities
-from cablequad.system import System
+from cablequad.environment.air import Air, drag
+from cablequad.model.dynamics import accelerations
+from cablequad.model.integrate import scratch
+from cablequad.model.state import State, velocities
+from cablequad.model.system import System
 from sitl.wind import Weather, Wind, turbulence
 
 

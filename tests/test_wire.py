@@ -11,17 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bridge import watch
-from bridge.link import Endpoint, Link, LinkError
-from bridge.wire import generate
-from bridge.wire.attitudes import Attitudes
+from bridge.fleet.setpoints import Setpoints, WireError
+from bridge.wire import generate, watch
 from bridge.wire.dialect import CABLE_STATE, mavlink
-from bridge.wire.earth import Home
 from bridge.wire.frames import Packed, Signer, Verdict, fields, frame, packed
-from bridge.wire.load import LoadReport
+from bridge.wire.link import Endpoint, Link, LinkError
 from bridge.wire.messages import decode, encode, param_bits, param_int, reread
-from bridge.wire.setpoints import Setpoints, WireError
-from bridge.wire.telemetry import BUILD, Snapshot
 from bridge.wire.values import (
     AttitudeTarget,
     CableShape,
@@ -44,9 +39,13 @@ from bridge.wire.values import (
     VehicleAttitude,
     VehiclePosition,
 )
-from cablequad import lie
-from cablequad.instant import row
-from cablequad.state import State
+from cablequad.model import lie
+from cablequad.model.earth import Home
+from cablequad.model.instant import row
+from cablequad.model.state import State
+from sitl.firmware.attitudes import Attitudes
+from sitl.firmware.telemetry import BUILD, Snapshot
+from sitl.load import LoadReport
 
 
 def over_the_wire(value: object) -> object:

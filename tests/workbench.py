@@ -5,12 +5,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bridge.wire.earth import Home
 from bridge.wire.messages import reread
-from bridge.wire.telemetry import BUILD, Snapshot
 from bridge.wire.values import IN_AIR, ON_GROUND, AttitudeTarget, Command, CommandAck, Heartbeat, StatusText
-from cablequad import lie
+from cablequad.model import lie
+from cablequad.model.earth import Home
 from sitl.firmware.autopilot import ATTITUDE_QUATERNION, Actuation, Autopilot, Body, LinkKind, Outgoing
+from sitl.firmware.telemetry import BUILD, Snapshot
 
 TICK = 4000
 LEVEL = (1.0, 0.0, 0.0, 0.0)

@@ -42,7 +42,7 @@ from bridge.wire.values import (
     VehicleAttitude,
     VehiclePosition,
 )
-from cablequad import lie
+from cablequad.model import lie
 from cablequad.types import Array
 
 TEXT_BYTES = 50

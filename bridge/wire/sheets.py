@@ -11,9 +11,9 @@ import numpy as np
 
 from bridge.wire.dialect import mavlink
 from bridge.wire.frames import Packed
-from cablequad import lie
 from cablequad._jit import inlined, jit
-from cablequad.instant import places
+from cablequad.model import lie
+from cablequad.model.instant import places
 from cablequad.types import Array, Bytes, Counts, Floats
 
 HEADER, CHECKSUM = 10, 2

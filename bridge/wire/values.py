@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cablequad import lie
+from cablequad.model import lie
 from cablequad.types import Array
 
 

@@ -12,8 +12,8 @@ import socket
 import struct
 from typing import NamedTuple
 
-from bridge.ports import Address, bind
-from cablequad import lie
+from bridge.wire.ports import Address, bind
+from cablequad.model import lie
 from sitl.external.seat import Own, SeatError, Tally
 
 ARDUPILOT_PORT = 9002  # and 10 more for each instance

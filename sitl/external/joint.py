@@ -13,10 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bridge.link import Link
 from bridge.wire.frames import Signer
+from bridge.wire.link import Link
 from bridge.wire.messages import encode
-from bridge.wire.telemetry import origin
 from bridge.wire.values import IN_AIR, ON_GROUND, LandedState, Timesync
 from sitl import tracker
 from sitl.batteries import Batteries
@@ -24,6 +23,7 @@ from sitl.external.ardupilot import ARDUPILOT_PORT, ArduPilotSeat
 from sitl.external.px4 import PX4_PORT, SENSOR_US, Px4Seat
 from sitl.external.seat import Own, Seat, SeatError
 from sitl.failures import Broken
+from sitl.firmware.telemetry import origin
 from sitl.instruments import Grades, Instruments
 from sitl.places import tracker_endpoints
 from sitl.plant import Truth

@@ -13,11 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bridge.ports import Address, bind
 from bridge.wire.dialect import mavlink
-from bridge.wire.earth import Home, altitude_m, geodetic
 from bridge.wire.frames import Packed, checksum, frame, packed, unpack
-from cablequad import lie
+from bridge.wire.ports import Address, bind
+from cablequad.model import lie
+from cablequad.model.earth import Home, altitude_m, geodetic
 from sitl.external.seat import Own, SeatError, Tally
 from sitl.instruments import Fix, Instruments
 

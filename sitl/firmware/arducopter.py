@@ -11,7 +11,6 @@ from typing import ClassVar
 import numpy as np
 
 from bridge.wire.dialect import mavlink
-from bridge.wire.telemetry import BUILD, Snapshot
 from bridge.wire.values import (
     IN_AIR,
     ON_GROUND,
@@ -23,7 +22,7 @@ from bridge.wire.values import (
     SetMode,
     Timesync,
 )
-from cablequad import lie
+from cablequad.model import lie
 from cablequad.types import Array
 from sitl.firmware import arducopter_modes as modes
 from sitl.firmware.arducopter_modes import Mode, Situation
@@ -40,6 +39,7 @@ from sitl.firmware.autopilot import (
 )
 from sitl.firmware.navigate import A_IGNORED, FAR_M, V_IGNORED, X_IGNORED, Goal, goal_of
 from sitl.firmware.parameters import arducopter_parameters
+from sitl.firmware.telemetry import BUILD, Snapshot
 from sitl.firmware.transitions import ACCEPTED, CRITICAL, DENIED, FAILED, UNSUPPORTED, WARNING, decide
 
 M = mavlink

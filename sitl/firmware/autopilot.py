@@ -9,10 +9,8 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from bridge.wire.dialect import mavlink
-from bridge.wire.earth import Home, local
 from bridge.wire.frames import Packed, packed
 from bridge.wire.messages import GLOBAL_FRAMES, encode, text_frames
-from bridge.wire.telemetry import BUILD, Snapshot
 from bridge.wire.values import (
     ON_GROUND,
     Addressed,
@@ -38,10 +36,12 @@ from bridge.wire.values import (
     Timesync,
     Value,
 )
+from cablequad.model.earth import Home, local
 from cablequad.types import Array
 from sitl.firmware.navigate import FAR_M, Goal, Navigator, attitude
 from sitl.firmware.parameters import Parameters
 from sitl.firmware.streams import Streams
+from sitl.firmware.telemetry import BUILD, Snapshot
 from sitl.firmware.transitions import ACCEPTED, CRITICAL, INFO, UNSUPPORTED, Row
 
 M = mavlink

@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bridge.wire.telemetry import Snapshot
 from bridge.wire.values import PositionTarget
-from cablequad import lie
+from cablequad.model import lie
 from cablequad.types import Array
+from sitl.firmware.telemetry import Snapshot
 
 STIFFNESS = 5.3  # 1/s^2, times the vehicle's mass
 DAMPING = 5.3  # 1/s

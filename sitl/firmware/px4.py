@@ -10,9 +10,8 @@ from typing import ClassVar
 import numpy as np
 
 from bridge.wire.dialect import mavlink
-from bridge.wire.telemetry import BUILD, Snapshot
 from bridge.wire.values import IN_AIR, ON_GROUND, AttitudeTarget, Command, Heartbeat, PositionTarget, SetMode
-from cablequad import lie
+from cablequad.model import lie
 from sitl.firmware import px4_modes as modes
 from sitl.firmware.autopilot import (
     COMMON_CAPABILITIES,
@@ -28,6 +27,7 @@ from sitl.firmware.autopilot import (
 from sitl.firmware.navigate import A_IGNORED, FORCE_SET, X_IGNORED, Goal, goal_of
 from sitl.firmware.parameters import px4_parameters
 from sitl.firmware.px4_modes import Mode, Situation
+from sitl.firmware.telemetry import BUILD, Snapshot
 from sitl.firmware.transitions import (
     ACCEPTED,
     CRITICAL,

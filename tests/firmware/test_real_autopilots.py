@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 from conftest import Command
 
-from logs.reader import read
-from missions import scenario as scenarios
+from logs.reading.reader import read
+from missions.scenario import scenario as scenarios
 
 BINARIES = {"ardupilot": os.environ.get("CABLEQUAD_ARDUCOPTER"), "px4": os.environ.get("CABLEQUAD_PX4")}
 WHERE = {"ardupilot": "CABLEQUAD_ARDUCOPTER", "px4": "CABLEQUAD_PX4"}

@@ -1,0 +1,1 @@
+"""n autopilots: connecting, modes, arming, streams, and the thrust that each is asked for."""

@@ -1,0 +1,1 @@
+"""The control loop: measured states in, one decision for each, setpoints out, on the vehicles' clock."""

@@ -1,0 +1,81 @@
+"""Vehicles that no longer carry: found by what they say, where they are, and how they answer."""
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from bridge.mission.sight import Sight
+from cablequad.types import Array
+
+NO_FOLLOW_RAD, NO_FOLLOW_S = 0.7, 0.2
+SAGGED, CUT, CUT_M, GONE_S = 0.8, 1.06, 0.1, 0.08  # of a cable's length
+SILENT_S = 0.5  # after which what goes wrong is put down to who is silent
+FRESH_S = 0.15  # old is a vehicle's word of where it is
+
+
+class Loss(NamedTuple):
+    """A vehicle that is lost, and why."""
+
+    member: int  # its place among those that carry
+    why: str
+    off: bool  # its cable is off the load
+    sound: bool  # it flies, and may land by itself
+
+
+class Losses:
+    """What is wrong with each vehicle, and since when."""
+
+    def __init__(self) -> None:
+        self._since: dict[int, float] = {}
+
+    def look(
+        self,
+        now: float,
+        members: list[int],
+        sight: Sight,
+        ends: Array,
+        lengths: Array,
+        R_c: Array | None,
+        taut: bool,
+        departed: Mapping[int, tuple[float, str]],
+        astray: set[int],
+    ) -> Loss | None:
+        """The first of `members` that is lost; `ends` (n, 3) m are where cables of `lengths` (n,) m are tied.
+
+        `R_c` (n, 3, 3) is what was commanded last. `departed` tells by vehicle when to act and why, `astray` who does
+        not know where it is. Where cables need not be `taut` a vehicle may be near its end of one.
+        """
+        far = np.linalg.norm(sight.x - ends, axis=1)
+        for own, k in enumerate(members):
+            act_at, why = departed.get(k, (math.inf, ""))
+            loss, wait = Loss(own, why, False, True), 0.0
+            if now < act_at:
+                trusted = k not in astray and sight.x_age_s[own] < FRESH_S
+                told = far[own] if trusted else lengths[own]
+                loss, wait = _seen(own, float(told), float(lengths[own]), R_c, sight.state.R, taut)
+            if not loss.why:
+                self._since.pop(k, None)
+            elif now - self._since.setdefault(k, now) >= wait:
+                silent = int(np.argmax(sight.x_age_s))
+                age_s = float(sight.x_age_s[silent])
+                if age_s > SILENT_S and now < act_at:  # where the others are is its doing
+                    return Loss(
+                        silent, f"nothing heard of it for {age_s:.1f} s, and the load does not hang", False, False
+                    )
+                return loss
+        return None
+
+
+def _seen(own: int, far: float, length: float, R_c: Array | None, R: Array, taut: bool) -> tuple[Loss, float]:
+    """What is wrong with a vehicle `far` m from its end of a cable of `length` m, and how long that is waited for."""
+    if far > CUT * length + CUT_M:
+        return Loss(own, f"it is {far:.2f} m from the load: its cable is off", True, True), GONE_S
+    if taut and far < SAGGED * length:
+        return Loss(own, "it is where its cable cannot hold the load", False, False), GONE_S
+    if R_c is not None:
+        cosine = float(R_c[own, :, 2] @ R[own, :, 2])
+        if math.acos(min(1.0, max(-1.0, cosine))) > NO_FOLLOW_RAD:
+            return Loss(own, "it does not follow its attitude", False, False), NO_FOLLOW_S
+    return Loss(own, "", False, True), 0.0

@@ -1,0 +1,1 @@
+"""What decides: references, estimator, LQR design and the control laws."""

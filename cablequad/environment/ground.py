@@ -1,0 +1,227 @@
+"""Level ground under a load: compliant contact with friction at the load's corners, cables' nodes and vehicles' feet.
+
+A point at depth d is pushed up by N = max(0, k d + c d' min(1, d / d_s)), d_s where its share of the weight rests, and
+held back by mu N against its slip, fading below `slip` and never more than a step can take. The spring gives back what
+it took, everything else only takes: contact adds no energy. Evaluated at every stage of the Runge-Kutta step.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from cablequad._jit import inlined, jit
+from cablequad.model import lie
+from cablequad.model.integrate import Command, Scratch, clear, derive, finish, stage
+from cablequad.model.state import State, positions, velocities
+from cablequad.model.system import System
+from cablequad.types import Array, Triple
+
+NONE = np.inf  # where there is no ground
+NODES, PAYLOAD, VEHICLES = 200.0, 120.0, 100.0  # rad/s: how a body on all its contacts bounces
+DAMPING = 0.5  # damping ratio of that
+FRICTION, SLIP = 0.6, 0.005  # -, m/s
+
+
+class Contact(NamedTuple):
+    """How one point meets the ground."""
+
+    stiffness: float  # N/m
+    damping: float  # N s/m
+    sag: float  # m: where its share of the weight rests
+    grip: float  # N s/m, most friction per slip
+
+
+class Ground(NamedTuple):
+    """Where the ground is, and what of a system meets it."""
+
+    z: float  # m, W, down positive; inf: none
+    friction: float
+    corners: Array  # (c, 3) m, payload frame
+    feet: Array  # (4, 3) m, vehicles' body frames
+    corner: Array  # (4,), as Contact
+    foot: Array  # (n, 4)
+    node: Array  # (n, L, 4): the payload-side end of each link but the last
+
+
+def ground(system: System, z: float, corners: Array, feet: Array, h: float, friction: float = FRICTION) -> Ground:
+    """The ground at `z` for a load with these `corners` and vehicles with these `feet`, for steps of `h` s."""
+    n, L = system.length.shape
+    carried = system.m0 + float(system.m_tied.sum())
+    lightest = min(system.m0, float(np.min(np.diag(system.J0))) / max(float(np.max(np.sum(corners**2, axis=1))), 1e-9))
+    node = np.zeros((n, L, 4))
+    for i in range(n):
+        for j in range(int(system.n_links[i])):
+            m = float(system.m_link[i, j])
+            node[i, j] = contact(m, NODES, 1, m, system.g, h)
+    foot = np.array([contact(float(m), VEHICLES, len(feet), float(m) / 4, system.g, h) for m in system.m])
+    corner = np.array(contact(carried, PAYLOAD, max(1, len(corners) // 2), lightest / 2, system.g, h))
+    return Ground(
+        z, friction, np.ascontiguousarray(corners, dtype=float), np.array(feet, dtype=float), corner, foot, node
+    )
+
+
+def contact(mass: float, bounce: float, points: int, felt: float, g: float, h: float) -> Contact:
+    """One of the `points` that a body of `mass` kg stands on, where it feels like `felt` kg; `bounce` in rad/s."""
+    stiffness = mass * bounce**2 / points
+    return Contact(stiffness, 2.0 * DAMPING * mass * bounce / points, g / bounce**2, felt / (2.0 * h))
+
+
+def box_corners(box: tuple[float, float, float]) -> Array:
+    """(8, 3) m: corners of a box with these edges about its centre."""
+    signs = np.array([(a, b, c) for a in (-0.5, 0.5) for b in (-0.5, 0.5) for c in (-0.5, 0.5)])
+    return signs * np.asarray(box)
+
+
+@inlined
+def _push(c: Array, friction: float, depth: float, v: Triple) -> Triple:
+    """N, W: on a point `depth` m below the surface that moves with `v`."""
+    if depth <= 0.0:
+        return (0.0, 0.0, 0.0)
+    normal = c[0] * depth + c[1] * v[2] * min(1.0, depth / c[2])
+    if normal <= 0.0:
+        return (0.0, 0.0, 0.0)
+    hold = min(friction * normal / math.sqrt(v[0] * v[0] + v[1] * v[1] + SLIP * SLIP), c[3])
+    return (-hold * v[0], -hold * v[1], -normal)
+
+
+@inlined
+def _corner(g: Ground, c: Array, x: Triple, v: Triple, R: Array, O: Array, r: Array) -> tuple[Triple, Triple]:
+    """Force (N, W) and moment (N m, body frame) on a body at x, v whose point r touches the ground, else zero."""
+    depth = x[2] + R[2, 0] * r[0] + R[2, 1] * r[1] + R[2, 2] * r[2] - g.z
+    if depth <= 0.0:
+        return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    spin = lie.cross_triple((O[0], O[1], O[2]), (r[0], r[1], r[2]))
+    moving = (
+        v[0] + R[0, 0] * spin[0] + R[0, 1] * spin[1] + R[0, 2] * spin[2],
+        v[1] + R[1, 0] * spin[0] + R[1, 1] * spin[1] + R[1, 2] * spin[2],
+        v[2] + R[2, 0] * spin[0] + R[2, 1] * spin[1] + R[2, 2] * spin[2],
+    )
+    f = _push(c, g.friction, depth, moving)
+    own = (
+        R[0, 0] * f[0] + R[1, 0] * f[1] + R[2, 0] * f[2],
+        R[0, 1] * f[0] + R[1, 1] * f[1] + R[2, 1] * f[2],
+        R[0, 2] * f[0] + R[1, 2] * f[1] + R[2, 2] * f[2],
+    )
+    return f, lie.cross_triple((r[0], r[1], r[2]), own)
+
+
+@inlined
+def press(system: System, at: State, g: Ground, held: Command, command: Command, s: Scratch) -> None:
+    """Add what the ground does in state `at`: to s.on_vehicles, s.work, and to `held` moments into `command`."""
+    work = s.work
+    x, v = positions(system, at), velocities(system, at)
+    for k in range(g.corners.shape[0]):
+        here, moving = (at.x0[0], at.x0[1], at.x0[2]), (at.v0[0], at.v0[1], at.v0[2])
+        f, turn = _corner(g, g.corner, here, moving, at.R0, at.Omega0, g.corners[k])
+        for a in range(3):
+            work.on_payload[a] += f[a]
+            work.turning[a] += turn[a]
+    for i in range(system.m.shape[0]):
+        for j in range(system.n_links[i] - 1):
+            moving = (v[i, j + 1, 0], v[i, j + 1, 1], v[i, j + 1, 2])
+            f = _push(g.node[i, j], g.friction, x[i, j + 1, 2] - g.z, moving)
+            for a in range(3):
+                work.on_nodes[i, j, a] += f[a]
+        for a in range(3):
+            command.moment[i, a] = held.moment[i, a]
+        for k in range(g.feet.shape[0]):
+            here, moving = (x[i, 0, 0], x[i, 0, 1], x[i, 0, 2]), (v[i, 0, 0], v[i, 0, 1], v[i, 0, 2])
+            f, turn = _corner(g, g.foot[i], here, moving, at.R[i], at.Omega[i], g.feet[k])
+            for a in range(3):
+                s.on_vehicles[i, a] += f[a]
+                command.moment[i, a] += turn[a]
+
+
+class Held(NamedTuple):
+    """What acts from outside besides the ground, kept while stages add the ground's part."""
+
+    on_vehicles: Array  # (n, 3) N, W
+    on_payload: Array  # (3,) N, W
+    on_nodes: Array  # (n, L, 3) N, W
+
+
+@jit
+def nothing(system: System) -> Held:
+    """Nothing acts besides the ground."""
+    n, L = system.length.shape
+    return Held(np.zeros((n, 3)), np.zeros(3), np.zeros((n, L, 3)))
+
+
+@jit
+def kept(s: Scratch) -> Held:
+    """Copies of what acts from outside now."""
+    return Held(s.on_vehicles.copy(), s.work.on_payload.copy(), s.work.on_nodes.copy())
+
+
+@inlined
+def _outside(held: Held, s: Scratch) -> None:
+    """Back to what acts besides the ground."""
+    s.on_vehicles[:] = held.on_vehicles
+    s.work.on_payload[:] = held.on_payload
+    s.work.turning[:] = 0.0
+    s.work.on_nodes[:] = held.on_nodes
+
+
+@jit
+def advance_on(system: System, state: State, command: Command, h: float, g: Ground, held: Held, s: Scratch) -> None:
+    """One step of `h` s in place, as `integrate.advance`, over the ground and under `held`.
+
+    `s` is left with `held` and the forces of the ground as they were last.
+    """
+    pressed = Command(command.thrust, command.moment.copy())
+    s.work.loaded[0] = True
+    clear(s)
+    for k in range(4):
+        at = state if k == 0 else s.stage
+        _outside(held, s)
+        press(system, at, g, command, pressed, s)
+        derive(system, at, pressed, s)
+        weight = h / 6.0 if k in (0, 3) else h / 3.0
+        reach = (0.5 * h, 0.5 * h, h, 0.0)[k]
+        stage(system, state, at, s, weight, reach)
+    finish(system, state, s)
+
+
+@jit
+def stored(system: System, state: State, g: Ground) -> float:
+    """J: what the ground's springs hold."""
+    x = positions(system, state)
+    total = 0.0
+    for r in g.corners:
+        depth = max(0.0, state.x0[2] + np.sum(state.R0[2] * r) - g.z)
+        total += 0.5 * g.corner[0] * depth * depth
+    for i in range(system.m.shape[0]):
+        for j in range(system.n_links[i] - 1):
+            depth = max(0.0, x[i, j + 1, 2] - g.z)
+            total += 0.5 * g.node[i, j, 0] * depth * depth
+        for r in g.feet:
+            depth = max(0.0, x[i, 0, 2] + np.sum(state.R[i, 2] * r) - g.z)
+            total += 0.5 * g.foot[i, 0] * depth * depth
+    return total
+
+
+@jit
+def deepest(system: System, state: State, g: Ground) -> float:
+    """m: how far the deepest point is below the surface; negative while nothing touches."""
+    x = positions(system, state)
+    worst = -np.inf
+    for r in g.corners:
+        worst = max(worst, state.x0[2] + np.sum(state.R0[2] * r) - g.z)
+    for i in range(system.m.shape[0]):
+        for j in range(system.n_links[i] - 1):
+            worst = max(worst, x[i, j + 1, 2] - g.z)
+        for r in g.feet:
+            worst = max(worst, x[i, 0, 2] + np.sum(state.R[i, 2] * r) - g.z)
+    return worst
+
+
+@jit
+def standing(system: System, state: State, g: Ground) -> Array:
+    """(n,) how many feet of each vehicle touch the ground."""
+    out = np.zeros(system.m.shape[0])
+    x = positions(system, state)
+    for i in range(system.m.shape[0]):
+        for r in g.feet:
+            out[i] += x[i, 0, 2] + np.sum(state.R[i, 2] * r) > g.z
+    return out

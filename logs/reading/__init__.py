@@ -1,0 +1,1 @@
+"""Logs read: records, messages, columns by name, checks of soundness, export."""

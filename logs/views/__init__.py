@@ -1,0 +1,1 @@
+"""Logs looked at: replay in Rerun, figures, the report page, video."""

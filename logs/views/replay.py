@@ -1,0 +1,327 @@
+"""Columns -> Rerun: a scene and plots that answer where the load is against the plan, which cable pulls how much, which
+vehicle is near its limit, and what happened when."""
+
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from cablequad.types import Array
+from logs.reading.reader import Run, frame_headers, missing_before
+from logs.views.motion import Motion, motion_of, rotate, shade, thin
+from logs.writing.encode import ALARMING, color
+
+TIMELINE = "sim_time"
+PLOT_HZ = 250.0
+N_PER_M = 14.0  # thrust arrows: newtons a metre
+ARM = 0.17  # m
+AXES = [(213, 94, 0), (0, 158, 115), (0, 114, 178)]  # x, y, z
+FAINT = [(240, 180, 140), (150, 210, 190), (150, 190, 225)]  # their targets
+SLACK = (255, 0, 255)
+ASKED_M = 0.45  # length of a commanded thrust axis
+GHOST = "'"  # marks the curves of a second run
+
+
+def save(run: Run, path: Path, other: Run | None = None) -> None:
+    """Write the replay of `run` as an .rrd with its layout inside; `other` goes beside it as a ghost on the same clock.
+
+    Raises LogError where a log holds no motion.
+    """
+    out = rr.RecordingStream("cablequad", recording_id=run.path.stem)
+    motion = motion_of(run)
+    out.save(path, default_blueprint=layout(motion))
+    log(out, run, motion, None if other is None else (other, motion_of(other)))
+    out.flush()
+    out.disconnect()
+
+
+def log(out: rr.RecordingStream, run: Run, m: Motion, other: tuple[Run, Motion] | None = None, told: int = 0) -> None:
+    """Send everything, but for the first `told` events."""
+    _bodies(out, m)
+    _cables(out, m)
+    _intentions(out, m)
+    _plots(out, run, m, "")
+    _wire(out, run)
+    _events(out, run, told)
+    if other is not None:
+        _ghost(out, other[1])
+        _plots(out, *other, GHOST)
+
+
+def layout(m: Motion) -> rrb.Blueprint:
+    """3D and the phases on the left, plots on the right."""
+    seen = np.concatenate(
+        [m.nodes.reshape(-1, 3), m.nodes[0].reshape(-1, 3) + (np.array(m.model["target_m"]) - m.x0[0])]
+    )
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    middle = 0.5 * (low + high)
+    size = high - low
+    across = np.array([1.0, 0.35, -0.5]) if size[1] >= size[0] else np.array([0.35, 1.0, -0.5])
+    known = m.model.get("ground_z_m")
+    floor = float(high[2]) + 0.6 if known is None else float(known)
+    eye = middle + max(3.0, 1.15 * float(np.linalg.norm(size))) * across / np.linalg.norm(across)
+    scene = rrb.Spatial3DView(
+        origin="/world",
+        name="load, cables, vehicles (NED)",
+        background=rrb.Background(color=(18, 20, 28)),
+        line_grid=rrb.LineGrid3D(
+            visible=True, spacing=0.5, plane=rr.components.Plane3D.XY.with_distance(floor), color=(110, 120, 140, 90)
+        ),
+        eye_controls=rrb.EyeControls3D(position=eye, look_target=middle, eye_up=(0.0, 0.0, -1.0)),
+    )
+
+    def plot(name: str, *entities: str) -> rrb.TimeSeriesView:
+        return rrb.TimeSeriesView(
+            name=name, origin="/plots", contents=list(entities), plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop)
+        )
+
+    plots = rrb.Grid(
+        plot("payload position and target [m]", "/plots/position/**"),
+        plot("payload velocity and target [m/s]", "/plots/velocity/**"),
+        plot("thrust f_i and limit [N]", "/plots/thrust/**"),
+        plot("tension at the load, smallest of all links [N]", "/plots/tension/**"),
+        plot("vehicle attitude error Psi_i [-]", "/plots/psi/**"),
+        plot("payload attitude error Psi_0 [-]", "/plots/psi_0/**"),
+        plot("link errors e_q [-], e_omega [rad/s]", "/plots/links/**"),
+        rrb.TextLogView(name="events", origin="/events"),
+        grid_columns=2,
+        name="flight",
+    )
+    wire = rrb.Vertical(
+        plot("frames missing by their numbers, each second", "/plots/lost/**"),
+        plot("age of the state that was answered [ms]", "/plots/age/**"),
+        plot("estimate less truth: load [cm], links [deg]", "/plots/estimate/**"),
+        name="wire and estimate",
+    )
+    phases = rrb.StateTimelineView(name="phases", origin="/", contents=["/phases/**", "/slack/**"])
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Vertical(scene, phases, row_shares=[5, 1.3]),
+            rrb.Tabs(plots, wire),
+            column_shares=[5, 6],
+        ),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE, playback_speed=1.0),
+        collapse_panels=True,
+    )
+
+
+def _bodies(out: rr.RecordingStream, m: Motion) -> None:
+    when, model = [_time(m.t)], m.model
+    out.log("world", rr.ViewCoordinates.FRD, static=True)
+    half = 0.5 * np.array(model["box_m"])
+    out.log("world/payload/box", rr.Boxes3D(half_sizes=[half], colors=[(86, 116, 190)], fill_mode="solid"), static=True)
+    out.log("world/payload/axes", rr.TransformAxes3D(0.35), static=True)
+    out.send_columns("world/payload", when, rr.Transform3D.columns(translation=m.x0, quaternion=_xyzw(m.quat0)))
+    log_trail(out, m.x0)
+    target = np.array(model["target_m"])
+    turned = rr.Quaternion(xyzw=_xyzw(np.array(model["target_quat_wxyz"])))
+    out.log(
+        "world/target",
+        rr.Boxes3D(
+            half_sizes=[half],
+            centers=[target],
+            quaternions=[turned],
+            colors=[(120, 220, 120)],
+            radii=[0.006],
+            labels=["target"],
+        ),
+        static=True,
+    )
+    for i in range(m.quads.shape[1]):
+        name = f"world/quad{i + 1}"
+        rgb = color(i)
+        tips = np.concatenate(_arms())
+        out.log(f"{name}/arms", rr.LineStrips3D(_arms(), colors=[rgb], radii=[0.012]), static=True)
+        out.log(
+            f"{name}/rotors",
+            rr.Ellipsoids3D(
+                half_sizes=[(0.085, 0.085, 0.006)] * 4, centers=tips - [0.0, 0.0, 0.02], colors=[rgb], fill_mode="solid"
+            ),
+            static=True,
+        )
+        out.log(
+            f"{name}/label", rr.Points3D([(0, 0, -0.12)], radii=[0.0], labels=[f"{i + 1}"], colors=[rgb]), static=True
+        )
+        out.send_columns(name, when, rr.Transform3D.columns(translation=m.quads[:, i], quaternion=_xyzw(m.quats[:, i])))
+        up = rotate(m.quats[:, i], np.array([[0.0, 0.0, -1.0]]))[:, 0]
+        out.log(f"world/thrust/{i + 1}", rr.Arrows3D.from_fields(colors=[rgb], radii=[0.012]), static=True)
+        out.send_columns(
+            f"world/thrust/{i + 1}",
+            when,
+            rr.Arrows3D.columns(vectors=up * m.thrust[:, i, None] / N_PER_M, origins=m.quads[:, i]),
+        )
+
+
+def log_trail(out: rr.RecordingStream, x0: Array) -> None:
+    """Where the load has been, x0 (T, 3) m."""
+    out.log("world/trail", rr.LineStrips3D([x0], colors=[(170, 175, 205)], radii=[0.006]), static=True)
+
+
+def _cables(out: rr.RecordingStream, m: Motion) -> None:
+    """Every link as a strip of its own, coloured by its tension; a link that pushes is magenta and thick."""
+    when = [_time(m.t)]
+    released = m.t >= 0
+    full = max(1e-6, float(np.percentile(m.tension[released], 99.5)) if released.any() else float(m.tension.max()))
+    for i, k in enumerate(m.model["n_links"]):
+        strips = np.stack([m.nodes[:, i, :k], m.nodes[:, i, 1 : k + 1]], axis=2).reshape(-1, 2, 3)
+        pull = m.tension[:, i, :k].reshape(-1)
+        tint = shade(np.clip(pull / full, 0.0, 1.0))
+        tint[pull < 0] = SLACK
+        radii = np.where(pull < 0, 0.016, 0.009)
+        out.send_columns(
+            f"world/cables/{i + 1}",
+            when,
+            rr.LineStrips3D.columns(strips=strips.astype(np.float32), colors=tint, radii=radii).partition(
+                [k] * len(m.t)
+            ),
+        )
+
+
+def _intentions(out: rr.RecordingStream, m: Motion) -> None:
+    """What was asked and believed beside what was: commanded thrust axes, and cables as the controller took them."""
+    if m.commanded is not None:
+        known = np.isfinite(m.commanded[:, 0, 0])
+        when = [_time(m.t[known])]
+        for i in range(m.quads.shape[1]):
+            up = rotate(m.commanded[known, i], np.array([[0.0, 0.0, -ASKED_M]]))[:, 0]
+            name = f"world/asked/{i + 1}"
+            out.log(name, rr.Arrows3D.from_fields(colors=[(235, 235, 235, 150)], radii=[0.006]), static=True)
+            out.send_columns(name, when, rr.Arrows3D.columns(vectors=up, origins=m.quads[known, i]))
+    if m.believed is not None:
+        known = np.isfinite(m.believed[:, 0, 0, 0])
+        for i, k in enumerate(m.model["n_links"]):
+            name = f"world/believed/{i + 1}"
+            out.log(name, rr.LineStrips3D.from_fields(colors=[(250, 250, 250, 170)], radii=[0.003]), static=True)
+            strips = m.believed[known, i, : k + 1].astype(np.float32)
+            out.send_columns(name, [_time(m.t[known])], rr.LineStrips3D.columns(strips=strips))
+
+
+def _ghost(out: rr.RecordingStream, m: Motion) -> None:
+    """Another run in the same scene, grey: its load, cables and vehicles."""
+    when, grey = [_time(m.t)], (165, 165, 175, 120)
+    half = 0.5 * np.array(m.model["box_m"])
+    out.log("world/ghost/load/box", rr.Boxes3D(half_sizes=[half], colors=[grey], radii=[0.004]), static=True)
+    out.send_columns("world/ghost/load", when, rr.Transform3D.columns(translation=m.x0, quaternion=_xyzw(m.quat0)))
+    out.log("world/ghost/trail", rr.LineStrips3D([m.x0], colors=[grey], radii=[0.003]), static=True)
+    for i, k in enumerate(m.model["n_links"]):
+        cable, body = f"world/ghost/cables/{i + 1}", f"world/ghost/quad{i + 1}"
+        out.log(cable, rr.LineStrips3D.from_fields(colors=[grey], radii=[0.004]), static=True)
+        out.send_columns(cable, when, rr.LineStrips3D.columns(strips=m.nodes[:, i, : k + 1].astype(np.float32)))
+        out.log(f"{body}/arms", rr.LineStrips3D(_arms(), colors=[grey], radii=[0.008]), static=True)
+        out.send_columns(body, when, rr.Transform3D.columns(translation=m.quads[:, i], quaternion=_xyzw(m.quats[:, i])))
+
+
+def _arms() -> list[Array]:
+    tips = ARM * np.array([(1, 1, 0), (-1, -1, 0), (1, -1, 0), (-1, 1, 0)]) / np.sqrt(2)
+    return [tips[:2], tips[2:]]
+
+
+def _plots(out: rr.RecordingStream, run: Run, m: Motion, mark: str) -> None:
+    """Curves of one run; `mark` tells those of a second run apart, in paths and names."""
+    n = m.quads.shape[1]
+    vehicles = [f"{i + 1}{mark}" for i in range(n)]
+    tints = [_paler(color(i)) if mark else color(i) for i in range(n)]
+    axes = [_paler(c) for c in AXES] if mark else AXES
+
+    def series(where: str, t: Array, values: Array, names: list[str], colors: list) -> None:
+        _series(out, f"plots/{where}{mark}", t, values, names, colors)
+
+    control = run.columns.get("/control/state")
+    if control is not None:
+        rows = thin(control["sim_time_ns"], PLOT_HZ)
+        t = (control["sim_time_ns"][rows] - run.release_ns) * 1e-9
+        e_x, x = control["e_x0"][rows], control["position"][rows]
+        e_v, v = control["e_v0"][rows], control["velocity"][rows]
+        series("position/is", t, x, [f"{a}{mark}" for a in "xyz"], axes)
+        series("velocity/is", t, v, [f"v{a}{mark}" for a in "xyz"], axes)
+        if not mark:
+            series("position/target", t, x - e_x, ["x target", "y target", "z target"], FAINT)
+            series("velocity/target", t, v - e_v, ["vx target", "vy target", "vz target"], FAINT)
+        series("thrust/commanded", t, control["thrust"][rows], [f"f_{k}" for k in vehicles], tints)
+        series("psi/vehicles", t, control["Psi"][rows], [f"Psi_{k}" for k in vehicles], tints)
+        series("psi_0/load", t, control["Psi_0"][rows][:, None], [f"Psi_0{mark}"], [(120, 150, 230)])
+        links = np.stack([control["e_q"][rows], control["e_w"][rows]], axis=1)
+        series("links/errors", t, links, [f"e_q{mark}", f"e_omega{mark}"], [axes[0], axes[2]])
+        series("tension/load", t, control["tension"][rows], [f"T_{k}" for k in vehicles], tints)
+        series("age/state", t, 1e3 * control["state_age"][rows][:, None], [f"age of the state{mark}"], [(213, 94, 0)])
+    off = run.columns.get("/control/estimate")
+    if off is not None:
+        rows = thin(off["sim_time_ns"], PLOT_HZ)
+        t = (off["sim_time_ns"][rows] - run.release_ns) * 1e-9
+        n_links = np.array(m.model["n_links"])
+        used = (np.arange(off["link_direction"].shape[1] // n)[None, :] < n_links[:, None]).ravel()
+        both = np.stack([
+            100 * np.linalg.norm(off["position"][rows], axis=1),
+            np.degrees(np.sqrt(np.mean(off["link_direction"][rows][:, used] ** 2, axis=1))),
+        ], axis=1)  # fmt: skip
+        series("estimate/errors", t, both, [f"load [cm]{mark}", f"links [deg]{mark}"], [axes[2], axes[0]])
+    ends = m.t[[0, -1]]
+    limit = float(min(m.model["max_thrust_N"]))
+    if not mark and m.thrust.max() > 0.6 * limit:
+        series("thrust/limit", ends, np.full((2, 1), limit), ["limit"], [(200, 60, 60)])
+    slackest = np.where(m.t >= 0, m.tension.min(axis=(1, 2)), np.nan)
+    seen = np.isfinite(slackest)
+    series("tension/smallest", m.t[seen], slackest[seen, None], [f"smallest{mark}"], [(220, 220, 220)])
+
+
+def _wire(out: rr.RecordingStream, run: Run) -> None:
+    """What the links lost: frames missing by their sequence numbers, each second, of every sender."""
+    for topic, frames in sorted(run.frames.items()):
+        who, direction = topic.split("/")[2:4]
+        if direction != "rx" or len(frames) < 2:
+            continue
+        head = frame_headers(frames)
+        ns = frames.time_ns - run.epoch_ns
+        second = (ns - run.release_ns) // 10**9
+        missing = np.zeros(len(ns))
+        for sender in np.unique(head["sysid"] * 256 + head["compid"]):
+            rows = np.flatnonzero(head["sysid"] * 256 + head["compid"] == sender)
+            missing[rows] = missing_before(head["seq"][rows])
+        bins = np.arange(second[0], second[-1] + 1)
+        lost = np.bincount(second - second[0], missing, len(bins))
+        tint = color(int(who[4:]) - 1) if who.startswith("quad") else (200, 200, 200)
+        _series(out, f"plots/lost/{who}", bins + 1.0, np.maximum(lost, 0.0)[:, None], [who], [tint])
+
+
+def _paler(c: tuple[int, int, int]) -> tuple[int, int, int]:
+    r, g, b = ((v + 2 * 150) // 3 for v in c)
+    return r, g, b
+
+
+def _events(out: rr.RecordingStream, run: Run, told: int) -> None:
+    events = run.events[told:]
+    marks = [(run.release_ns, "fly")] if any(e.kind == "release" for e in events) else []
+    if told == 0:
+        first = min((int(c["sim_time_ns"][0]) for c in run.columns.values() if "sim_time_ns" in c), default=0)
+        marks.insert(0, (first, "prepare"))
+    marks += [(e.time_ns, e.text) for e in events if e.kind == "phase"]
+    marks = [m for m in marks if m[1] != "fly" or not any(e.kind == "phase" for e in run.events)]
+    marks += [(e.time_ns, "hold") for e in events if e.kind == "end"]
+    t = np.array([(ns - run.release_ns) * 1e-9 for ns, _ in marks])
+    out.send_columns("phases/mission", [_time(t)], rr.StateChange.columns(state=[name for _, name in marks]))
+    for cable in sorted({e.subject for e in events if e.kind in ("slack", "taut")}):
+        marks = [(run.release_ns, "taut")] * (told == 0) + [
+            (e.time_ns, e.kind) for e in events if e.subject == cable and e.kind in ("slack", "taut")
+        ]
+        t = np.array([(ns - run.release_ns) * 1e-9 for ns, _ in marks])
+        lane = f"slack/{cable.replace(' ', '_')}"
+        out.send_columns(lane, [_time(t)], rr.StateChange.columns(state=[name for _, name in marks]))
+    if events:
+        t = np.array([(e.time_ns - run.release_ns) * 1e-9 for e in events])
+        text = [f"{e.subject}: {e.text}" for e in events]
+        level = ["WARN" if e.kind in ALARMING else "INFO" for e in events]
+        out.send_columns("events", [_time(t)], rr.TextLog.columns(text=text, level=level))
+
+
+def _series(out: rr.RecordingStream, entity: str, t: Array, values: Array, names: list[str], tints: list) -> None:
+    out.log(entity, rr.SeriesLines(names=names, colors=tints, widths=[1.6] * len(names)), static=True)
+    out.send_columns(entity, [_time(t)], rr.Scalars.columns(scalars=values))
+
+
+def _time(t: Array) -> rr.TimeColumn:
+    return rr.TimeColumn(TIMELINE, duration=np.rint(t * 1e9).astype("timedelta64[ns]"))
+
+
+def _xyzw(quat_wxyz: Array) -> Array:
+    return np.roll(quat_wxyz, -1, axis=-1)

@@ -1,0 +1,57 @@
+"""A picture of a replay without a screen: a headless viewer, asked to show one time and to save what it sees."""
+
+import contextlib
+import os
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+from rerun.experimental import ViewerClient
+
+from logs.reading.reader import LogError
+from logs.views.replay import TIMELINE
+
+START_S = 60.0
+SETTLE_S = 1.5
+
+
+def screenshots(rrd: Path, shots: dict[float, Path], port: int = 9913) -> None:
+    """Save the replay at each time (s since release) to its PNG. Raises LogError if the viewer shows an error.
+
+    Needs a Vulkan driver; a software one will do (Debian: mesa-vulkan-drivers).
+    """
+    os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ.get('PATH', '')}"
+    os.environ.setdefault("RUST_LOG", "error")
+    try:
+        viewer = ViewerClient.spawn(headless=True, port=port, hide_welcome_screen=True)
+    except RuntimeError as error:
+        raise LogError(f"the Rerun viewer did not start: {str(error).splitlines()[0]}") from None
+    try:
+        viewer.open(str(rrd.resolve()))
+        until = time.monotonic() + START_S
+        while not getattr(viewer.get_state(), "views", None):
+            if time.monotonic() > until:
+                raise LogError(f"the Rerun viewer showed nothing of {rrd} within {START_S:.0f} s")
+            time.sleep(0.2)
+        for t, png in shots.items():
+            viewer.set_time(TIMELINE, duration=np.timedelta64(round(t * 1e9), "ns"), play_state="paused")
+            time.sleep(SETTLE_S)
+            reports = [str(report) for view in viewer.get_state().views for report in view.reports]
+            if reports:
+                raise LogError(f"the Rerun viewer reports: {reports[0]}")
+            viewer.save_screenshot(str(png))
+    except (ConnectionError, RuntimeError, OSError) as error:
+        why = (str(error).splitlines() or [""])[0]
+        raise LogError(
+            f"the Rerun viewer ended by itself ({why}); it needs a Vulkan driver, also without a screen (Debian: "
+            "mesa-vulkan-drivers)"
+        ) from None
+    finally:
+        with contextlib.suppress(ConnectionError, RuntimeError, OSError):
+            viewer.quit()
+
+
+def served(port: int) -> list[str]:
+    """Arguments of the `rerun` command that serve a recording to browsers on this machine alone."""
+    return ["--serve-web", "--bind", "127.0.0.1", "--web-viewer-port", str(port), "--port", str(port + 1)]

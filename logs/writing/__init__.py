@@ -1,0 +1,1 @@
+"""Logs written: values to messages, messages to MCAP."""

@@ -1,0 +1,1 @@
+"""What is found out of a scenario or a log: check, margins, drills, preflight, identification, control replay."""

@@ -1,0 +1,1 @@
+"""The `cablequad` command. Heavy imports stand inside the commands, so that help is quick."""

@@ -1,0 +1,380 @@
+"""The `cablequad` command. Heavy imports stand inside the commands, so that help is quick."""
+
+import contextlib
+import io
+import json
+import math
+import signal
+import sys
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Annotated, NoReturn
+
+import typer
+
+from missions.cli.before_cli import check, identify, margins, preflight
+from missions.cli.exits import FAILED, INTERRUPTED, UNTESTED, fail, untested, usage
+from missions.cli.log_cli import log_app, report
+from missions.cli.options import (
+    BackendOption,
+    ConnectOption,
+    FirmwareOption,
+    JsonOption,
+    KeyOption,
+    LaunchOption,
+    PortOffset,
+    ScenarioArgument,
+    SpeedOption,
+    UnsignedOption,
+    backend,
+    load,
+    refuse,
+)
+
+if TYPE_CHECKING:
+    from missions.flight.summary import Summary
+
+app = typer.Typer(
+    name="cablequad",
+    help="Simulate and fly several quadrotors under one load on flexible cables, over MAVLink.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+scenarios_app = typer.Typer(help="List the shipped scenarios, or show one as a starting point.", no_args_is_help=False)
+app.add_typer(scenarios_app, name="scenarios")
+app.add_typer(log_app, name="log")
+
+
+@app.command()
+def fly(
+    scenario: ScenarioArgument = "paper-case-1",
+    connect: ConnectOption = None,
+    script: Annotated[
+        Path | None,
+        typer.Option(help="A Python file whose mission(course) says where the load goes, instead of [plan]."),
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder for the log and the replay.")] = Path("runs"),
+    speed: Annotated[
+        str | None,
+        typer.Option(
+            help="max: lockstep, as fast as the machine allows (the default); X: X times real time, without waiting "
+            "(1 is the default with autopilots of their own)."
+        ),
+    ] = None,
+    duration: Annotated[float | None, typer.Option(help="Seconds to fly, instead of the scenario's.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed, instead of the scenario's.", min=0)] = None,
+    replay: Annotated[bool, typer.Option(help="Write the replay (.rrd) beside the log.")] = True,
+    live: Annotated[
+        bool,
+        typer.Option("--live", help="Show the flight in the Rerun viewer that is open on this machine (start: rerun)."),
+    ] = False,
+    as_json: JsonOption = False,
+    port_offset: PortOffset = 0,
+    firmware: FirmwareOption = None,
+    configure: Annotated[
+        bool,
+        typer.Option(help="Set the parameters that a vehicle needs to be flown (with --connect it is only asked)."),
+    ] = False,
+    signing_key: KeyOption = None,
+    accept_unsigned: UnsignedOption = False,
+    backend_name: BackendOption = "builtin",
+    launch: LaunchOption = None,
+    stall_timeout: Annotated[
+        float, typer.Option(help="Seconds of wall clock that a simulator in lockstep may stand still.", min=1.0)
+    ] = 600.0,
+) -> None:
+    """Fly a scenario over MAVLink: start the vehicles (or connect to what is there), fly the plan, record, report.
+
+    Exit code 0 if the scenario's acceptance criteria hold, 1 if not, 2 for usage, 3 if the computer could not carry it
+    out, 130 after Ctrl-C.
+    """
+    from bridge.wire.keys import KeyFileError, read_key
+    from bridge.wire.link import Endpoint, LinkError
+    from missions.flight.report import progress
+    from missions.flight.run import Options, run
+    from missions.scenario.scenario import ScenarioError
+
+    who = backend(backend_name, firmware, launch)
+    pace = _speed(speed or ("max" if who == "builtin" else "1"))
+    if connect and who != "builtin":
+        usage("--backend starts our physics; with --connect it runs already")
+    if live:
+        from logs.views.live import VIEWER, reachable
+
+        if not reachable():
+            usage("--live: no viewer listens on {}:{}; start one with: rerun".format(*VIEWER))
+    if connect and speed not in (None, "max"):
+        usage("--speed sets the pace of our own simulator; with --connect the vehicles set it")
+    if duration is not None and not (math.isfinite(duration) and duration > 0):
+        usage(f"--duration: {duration} given; seconds above 0 are needed")
+    try:
+        flight = load(scenario, duration, seed, firmware, script)
+        refuse(flight, as_json)
+        key = None if signing_key is None else read_key(signing_key)
+        ends = tuple(Endpoint.parse(url) for url in connect or ())
+        options = Options(
+            ends, out, pace, port_offset, configure or not ends, key, accept_unsigned, live, who, launch, stall_timeout
+        )
+        with progress() as told:
+            summary, interrupted = run(flight, options, told)
+    except (ScenarioError, LinkError, KeyFileError) as error:
+        usage(str(error))
+    if replay and summary.log is not None:
+        summary = _write_replay(summary)
+    if as_json:
+        print(json.dumps(summary._asdict()))
+    elif summary.log is not None:
+        _report(summary)
+    if interrupted:
+        raise typer.Exit(INTERRUPTED)
+    if not summary.passed:
+        print(f"cablequad: {summary.scenario}: {summary.reason}", file=sys.stderr)
+        raise typer.Exit(FAILED if summary.tested else UNTESTED)
+
+
+@app.command()
+def sitl(
+    scenario: ScenarioArgument = "paper-case-1",
+    speed: SpeedOption = "1",
+    host: Annotated[str, typer.Option(help="Address to bind and to send to.")] = "127.0.0.1",
+    port_offset: PortOffset = 0,
+    firmware: FirmwareOption = None,
+    with_load: Annotated[
+        bool, typer.Option("--load/--no-load", help="The load and its cables; --no-load: vehicles on the ground alone.")
+    ] = True,
+    signing_key: KeyOption = None,
+    accept_unsigned: UnsignedOption = False,
+    faults: Annotated[
+        bool,
+        typer.Option(
+            "--faults", help="Let [faults] act on what the vehicles send as well, for clients other than fly."
+        ),
+    ] = False,
+    backend_name: BackendOption = "builtin",
+    launch: LaunchOption = None,
+) -> None:
+    """Serve the scenario's vehicles and payload tracker until Ctrl-C."""
+    from bridge.wire.keys import KeyFileError, read_key
+    from bridge.wire.link import LinkError
+    from missions.flight.serve import serve
+    from missions.flight.simulate import Serving
+    from missions.scenario.scenario import ScenarioError
+    from sitl.external.joint import AutopilotError
+    from sitl.plant import PhysicsError
+
+    who = backend(backend_name, firmware, launch)
+    if who != "builtin" and (not with_load or faults):
+        usage("--no-load and --faults are for our own vehicles; leave them out with --backend")
+    pace = _speed(speed)
+    if faults and math.isinf(pace):
+        usage("--faults loses what the vehicles send, on which --speed max would wait for ever; give a --speed")
+    try:
+        flight = load(scenario, None, None, firmware)
+        key = None if signing_key is None else read_key(signing_key)
+        serving = Serving(
+            lockstep=math.isinf(pace) and who == "builtin", speed=pace, port_offset=port_offset, host=host,
+            loose=not with_load,
+            signing_key=key, accept_unsigned_telemetry=accept_unsigned, faults_at_sender=faults, backend=who,
+        )  # fmt: skip
+        serve(flight, serving, launch)
+    except (ScenarioError, KeyFileError) as error:
+        usage(str(error))
+    except LinkError as error:
+        untested(str(error))
+    except (PhysicsError, AutopilotError) as error:
+        fail(str(error))
+
+
+@app.command()
+def tell(
+    word: Annotated[str, typer.Argument(help="pause, resume or abort (set down here, land, disarm).")],
+    host: Annotated[str, typer.Option(help="Where the controller listens.")] = "127.0.0.1",
+    port_offset: PortOffset = 0,
+    signing_key: KeyOption = None,
+) -> None:
+    """Tell a mission that is being flown to pause, to go on, or to come down."""
+    from bridge.wire.keys import KeyFileError, read_key
+    from bridge.wire.link import LinkError
+    from missions.flight import tell as operator
+
+    if word not in operator.WORDS:
+        usage(f"{word!r} given; tell pause, resume or abort")
+    try:
+        key = None if signing_key is None else read_key(signing_key)
+        refused = operator.tell(word, host, port_offset, key)
+    except (LinkError, KeyFileError) as error:
+        usage(str(error))
+    if refused:
+        fail(f"{word}: {refused}")
+    print(f"{word}: obeyed")
+
+
+@app.command("signing-key")
+def signing_key(file: Annotated[Path, typer.Argument(help="The new file; only you may read it.")]) -> None:
+    """Make a key for MAVLink 2 signing."""
+    from bridge.wire.keys import KeyFileError, write_key
+
+    try:
+        write_key(file)
+    except KeyFileError as error:
+        usage(str(error))
+    print(file)
+
+
+@app.command()
+def replay(
+    run: Annotated[Path, typer.Argument(help="The .mcap log of a run, whole or truncated.")],
+    other: Annotated[Path | None, typer.Argument(help="A second run, drawn as a ghost beside the first.")] = None,
+    save: Annotated[Path | None, typer.Option(help="Write the replay here instead of opening the viewer.")] = None,
+    screenshot: Annotated[Path | None, typer.Option(help="Save a picture here instead, without a screen.")] = None,
+    at: Annotated[float, typer.Option(help="Time of the picture, in seconds since the release.")] = 0.0,
+    serve: Annotated[bool, typer.Option("--serve", help="Serve it to web browsers on 127.0.0.1 until Ctrl-C.")] = False,
+    port: Annotated[int, typer.Option(help="With --serve: the page's port; the next one carries the data.")] = 9090,
+) -> None:
+    """Open a run in Rerun (two side by side), save it as an .rrd, serve it to a browser, or save a picture of it."""
+    import tempfile
+
+    from logs.reading.reader import LogError, read
+    from logs.views import replay as replays
+
+    with contextlib.ExitStack() as stack:
+        try:
+            loaded = read(run)
+            second = None if other is None else read(other)
+            if save is not None:
+                target = save
+            else:
+                target = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="cablequad-"))) / f"{run.stem}.rrd"
+            if target.parent and not target.parent.is_dir():
+                usage(f"--save {target}: the folder {target.parent} does not exist")
+            replays.save(loaded, target, second)
+        except LogError as error:
+            fail(str(error))
+        for log in (loaded, second):
+            if log is None:
+                continue
+            if not log.complete:
+                print(f"cablequad: {log.path}: the log is cut short; replaying what it holds", file=sys.stderr)
+            for damage in log.damages:
+                print(f"cablequad: {log.path}: {damage.text(log.epoch_ns)}; replaying the rest", file=sys.stderr)
+        if screenshot is not None:
+            from logs.views.screenshot import screenshots
+
+            try:
+                screenshots(target, {at: screenshot})
+            except LogError as error:
+                fail(str(error))
+            print(screenshot)
+        elif save is not None:
+            print(target)
+        else:
+            _view(target, port if serve else None)
+
+
+def _view(target: Path, port: int | None) -> NoReturn:
+    """Open a replay in the viewer, or serve it to browsers from `port` on, until the user has seen enough."""
+    import subprocess
+
+    viewer: list[str | Path] = [Path(sys.executable).parent / "rerun", target]
+    if port is not None:
+        from logs.views.screenshot import served
+
+        viewer += served(port)
+    try:
+        code = subprocess.run(viewer, check=False).returncode
+    except OSError as error:
+        fail(f"the Rerun viewer did not start ({error.strerror}); save the replay with --save and open it elsewhere")
+    except KeyboardInterrupt:
+        code = 0
+    raise typer.Exit(code)
+
+
+for command in (check, margins, preflight, identify, report):
+    app.command()(command)
+
+
+@scenarios_app.callback(invoke_without_command=True)
+def scenarios(context: typer.Context) -> None:
+    """List the shipped scenarios."""
+    if context.invoked_subcommand is None:
+        from missions.scenario.scenario import names, parse, text
+
+        for name in names():
+            typer.echo(f"{name:24} {parse(text(name), name).description}")
+
+
+@scenarios_app.command("show")
+def show(name: ScenarioArgument) -> None:
+    """Print a scenario's file."""
+    from missions.scenario.scenario import ScenarioError, text
+
+    try:
+        typer.echo(text(name), nl=False)
+    except ScenarioError as error:
+        usage(str(error))
+
+
+def main() -> None:
+    """Entry point of the `cablequad` command."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # a path may have letters that a terminal has not
+            stream.reconfigure(errors="backslashreplace")
+    interrupted: list[int] = []
+
+    def interrupt(number: int, _: FrameType | None) -> None:
+        interrupted.append(number)
+        raise KeyboardInterrupt
+
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    for number, usual in before.items():
+        if usual in (signal.default_int_handler, signal.SIG_DFL):  # whoever starts us may have us ignore it
+            signal.signal(number, interrupt)
+    try:
+        app()
+    except KeyboardInterrupt:
+        pass
+    except Exception:
+        if not interrupted:  # else a library that it met has made an error of its own of it
+            raise
+    finally:
+        for number, usual in before.items():
+            signal.signal(number, usual)
+    print("cablequad: interrupted", file=sys.stderr)
+    sys.exit(INTERRUPTED)
+
+
+def _speed(text: str) -> float:
+    if text == "max":
+        return math.inf
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and value > 0):
+        usage(f"--speed: {text!r} given; write max or a factor above 0, such as 1")
+    return value
+
+
+def _report(summary: "Summary") -> None:
+    from missions.flight.report import table
+
+    table(summary)
+
+
+def _write_replay(summary: "Summary") -> "Summary":
+    from logs.reading.reader import LogError, read
+    from logs.views import replay as replays
+
+    log = Path(summary.log or "")
+    target = log.with_name(log.name.removesuffix(".part")).with_suffix(".rrd")
+    try:
+        replays.save(read(log), target)
+    except (LogError, OSError) as error:
+        print(f"cablequad: no replay: {error}", file=sys.stderr)
+        return summary
+    return summary._replace(replay=str(target))
+
+
+if __name__ == "__main__":
+    main()

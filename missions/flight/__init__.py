@@ -1,0 +1,1 @@
+"""One flight: its processes, its progress on a terminal, and its summary."""

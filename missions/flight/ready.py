@@ -1,0 +1,48 @@
+"""What a flight needs and no clock has to wait for: fleet, decider, and what the observer is told of the loop."""
+
+from typing import NamedTuple
+
+from bridge.fleet.fleet import Fleet
+from bridge.loop.decide import Decider, MissionDecider, Plan, PlanDecider
+from bridge.loop.observe import Loop
+from bridge.mission.mission import Mission
+from cablequad.control.design import Design
+from cablequad.control.trajectory import at
+from missions.scenario import scenario as scenarios
+from missions.scenario.mission import mission_of, script_of
+from missions.scenario.scenario import Flight
+
+
+class Ready(NamedTuple):
+    """Made before any clock runs."""
+
+    fleet: Fleet
+    decider: Decider
+    loop: Loop
+    mission: Mission | None
+
+
+def ready(flight: Flight, design: Design, configure: bool, waits: bool = True) -> Ready:
+    """What flies the flight; `configure`: parameters that a vehicle needs to be flown are set.
+
+    `waits`: the vehicles' clock waits for the controller, and so for a script.
+    """
+    s, loop = flight.scenario, loop_of(flight)
+    grounded, airborne = s.mission is not None, s.mission is not None and s.mission.start == "air"
+    period_s, sensing = flight.control_us * 1e-6, s.control.sensing
+    fleet = Fleet(flight.airframe.max_thrust.tolist(), period_s, configure, sensing, grounded, airborne)
+    if not grounded:
+        plan = Plan(lambda t: at(flight.trajectory, t), s.duration_s, flight.trajectory.duration)
+        return Ready(fleet, PlanDecider(plan, fleet, loop, design), loop, None)
+    mission = mission_of(flight, fleet, design, script_of(flight, waits))
+    return Ready(fleet, MissionDecider(mission, loop, design), loop, mission)
+
+
+def loop_of(flight: Flight) -> Loop:
+    """What the observer of a flight is told of its loop."""
+    c = flight.scenario.control
+    period_ms = flight.control_us // 1000
+    return Loop(
+        flight.system, flight.airframe, period_ms, c.delay_ticks * period_ms, flight.physics_us * 1e-6,
+        scenarios.filter(flight), c.sensing,
+    )  # fmt: skip

@@ -1,0 +1,205 @@
+"""What a flight amounted to, and whether its own criteria hold."""
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bridge.loop.fly import Outcome, Timing
+from cablequad.control.pilot import Sample
+from missions.scenario.tables import AcceptanceTable
+from missions.scenario.tracking import Followed, Following, Grounded
+
+
+class Track:
+    """Figures that accumulate while flying; only what happens between release and end counts."""
+
+    def __init__(self, target: tuple[float, ...], ends_there: bool = True) -> None:
+        """See Following."""
+        self.last: Sample | None = None
+        self.following = Following(target, ends_there)
+        self.max_psi = 0.0
+        self.max_thrust_N = 0.0
+        self.min_tension_N = np.inf
+
+    def decided(self, sample: Sample) -> None:
+        """Take one decision of the flight."""
+        self.last = sample
+        self.max_psi = max(self.max_psi, *sample.Psi.tolist())
+        self.max_thrust_N = max(self.max_thrust_N, *sample.f.tolist())
+        s, wanted = sample.state, sample.reference.x0
+        self.following.take(sample.t, s.x0.tolist(), s.v0.tolist(), wanted.tolist())
+
+    def tension(self, smallest_N: float) -> None:
+        """Take the smallest tension of one instant."""
+        self.min_tension_N = min(self.min_tension_N, smallest_N)
+
+
+OF_THE_END = frozenset(
+    {"position_error_m", "speed_m_s", "e_q", "psi", "settling_time_s", "mean_position_error_m"}
+)  # criteria that a flight can only meet at its end
+
+
+class Criterion(NamedTuple):
+    """One line of [acceptance]."""
+
+    name: str
+    limit: float
+    measured: float | None
+    holds: bool
+
+
+class Summary(NamedTuple):
+    """What `cablequad fly` reports."""
+
+    scenario: str
+    passed: bool
+    reason: str
+    final_position_error_m: float | None
+    final_speed_m_s: float | None
+    settling_time_s: float | None
+    max_psi: float | None
+    max_thrust_N: float | None
+    min_tension_N: float | None
+    messages_sent: int
+    messages_lost: int
+    messages_late: int
+    real_time_factor: float | None
+    log: str | None
+    replay: str | None
+    final_e_q: float | None = None
+    final_psi: float | None = None
+    flown_s: float = 0.0
+    missed_deadlines: int = 0
+    jitter_us: dict[str, float] | None = None
+    criteria: list[dict[str, Any]] | None = None
+    predicted_ticks: int = 0  # answered with a state that was not all measured
+    wire: dict[str, int] | None = None  # frames counted on both sides, and what became of them
+    thrust_scale: list[dict[str, float]] | None = None  # of each vehicle: newtons made per newton asked
+    rms_tracking_error_m: float | None = None
+    largest_tracking_error_m: float | None = None
+    mean_position_error_m: float | None = None  # over the last 10 s
+    link_direction_error_deg: float | None = None  # rms of the estimate that was flown by
+    payload_attitude_error_deg: float | None = None
+    set_down_error_m: float | None = None  # of a mission: level distance of the load that stands from its target
+    touch_down_m_s: float | None = None
+    max_tension_N: float | None = None
+    min_separation_m: float | None = None  # between vehicles
+    vehicles_crashed: int | None = None
+    tested: bool = True  # False: the computer could not carry the flight out, which says nothing of it
+
+
+def criteria(limits: AcceptanceTable, s: Summary) -> list[Criterion]:
+    """Every criterion that the scenario asks for, with what was measured."""
+    upper = {
+        "position_error_m": s.final_position_error_m,
+        "speed_m_s": s.final_speed_m_s,
+        "e_q": s.final_e_q,
+        "psi": s.final_psi,
+        "max_psi": s.max_psi,
+        "max_thrust_N": s.max_thrust_N,
+        "settling_time_s": s.settling_time_s,
+        "rms_tracking_error_m": s.rms_tracking_error_m,
+        "mean_position_error_m": s.mean_position_error_m,
+        "link_direction_error_deg": s.link_direction_error_deg,
+        "set_down_error_m": s.set_down_error_m,
+        "touch_down_m_s": s.touch_down_m_s,
+        "max_tension_N": s.max_tension_N,
+    }
+    out = []
+    for name, measured in upper.items():
+        limit = getattr(limits, name)
+        if limit is not None:
+            out.append(Criterion(name, limit, measured, measured is not None and measured <= limit))
+    for name, low in (("min_tension_N", s.min_tension_N), ("min_separation_m", s.min_separation_m)):
+        limit = getattr(limits, name)
+        if limit is not None:
+            out.append(Criterion(name, limit, low, low is not None and low >= limit))
+    return out
+
+
+def summarize(
+    scenario: str,
+    limits: AcceptanceTable,
+    track: Track,
+    outcome: Outcome,
+    timing: Timing,
+    sent: int,
+    lost: int,
+    missed_deadlines: int,
+    n: int,
+    true: Followed | None = None,
+    grounded: Grounded | None = None,
+    mark: tuple[float, float] | None = None,
+    scripted: bool = False,
+    cut_short: bool = False,
+) -> Summary:
+    """The summary of a flight that ended with `outcome`; a criterion that does not hold is named in the reason.
+
+    `true` is how the load really moved, where a simulator told it. `mark` is where a mission set it down last. What a
+    `scripted` mission never did is not asked of it, nor what is of the end of one that was asked to be `cut_short`.
+    """
+    last = track.last
+    moved = true or track.following.followed()
+    enough = len(timing.intervals_s) > 2
+    s = Summary(
+        scenario=scenario,
+        passed=False,
+        reason=outcome.reason,
+        final_position_error_m=None if moved is None else moved.final_m,
+        final_speed_m_s=None if moved is None else moved.final_speed_m_s,
+        settling_time_s=None if moved is None else moved.settled_s,
+        max_psi=None if last is None else track.max_psi,
+        max_thrust_N=None if last is None else track.max_thrust_N,
+        min_tension_N=float(track.min_tension_N) if np.isfinite(track.min_tension_N) else None,
+        messages_sent=sent,
+        messages_lost=lost,
+        messages_late=timing.missed_ticks * n,
+        real_time_factor=last.t / timing.flight_s if last is not None and timing.flight_s > 0 else None,
+        log=None,
+        replay=None,
+        final_e_q=None if last is None else last.e_q,
+        final_psi=None if last is None else float(last.Psi.max()),
+        flown_s=0.0 if last is None else last.t,
+        missed_deadlines=missed_deadlines,
+        jitter_us=_jitter(timing.intervals_s) if enough else None,
+        predicted_ticks=timing.predicted_ticks,
+        rms_tracking_error_m=None if moved is None else moved.rms_m,
+        largest_tracking_error_m=None if moved is None else moved.largest_m,
+        mean_position_error_m=None if moved is None else moved.mean_last_m,
+        link_direction_error_deg=None if moved is None else moved.link_rms_deg,
+        payload_attitude_error_deg=None if moved is None else moved.attitude_rms_deg,
+        set_down_error_m=None if grounded is None or mark is None else math.dist(grounded.load_m[:2], mark),
+        touch_down_m_s=None if grounded is None else grounded.touch_down_m_s,
+        max_tension_N=None if grounded is None else grounded.largest_tension_N,
+        vehicles_crashed=None if grounded is None else grounded.vehicles_crashed,
+        min_separation_m=None if grounded is None else grounded.smallest_separation_m,
+        thrust_scale=[
+            {"scale": round(k.scale, 5), "error": round(k.error, 5)} for k in timing.thrust_scales if k.pairs > 2
+        ],
+    )
+    found = [c for c in criteria(limits, s) if not (scripted and c.measured is None)]
+    found = [c for c in found if not (cut_short and c.name in OF_THE_END)]
+    failed = [c for c in found if not c.holds]
+    reason = outcome.reason
+    if outcome.completed and failed:
+        reason = "; ".join(
+            f"{c.name} is {'not reached' if c.measured is None else f'{c.measured:.4g}'}, asked {c.limit:g}"
+            for c in failed
+        )
+    return s._replace(
+        passed=outcome.completed and not failed, tested=not outcome.untested, reason=reason,
+        criteria=[c._asdict() for c in found],
+    )  # fmt: skip
+
+
+def _jitter(intervals_s: Sequence[float]) -> dict[str, float]:
+    """How far the times between answered states lie from their median, in us."""
+    values = np.array(intervals_s)
+    off = np.abs(values - np.median(values)) * 1e6
+    return {
+        "p50": round(float(np.percentile(off, 50)), 1),
+        "p99": round(float(np.percentile(off, 99)), 1),
+        "max": round(float(off.max()), 1),
+    }

@@ -1,0 +1,1 @@
+"""Scenarios: their tables, loading and validation, mission plans and scripts."""

@@ -1,0 +1,165 @@
+"""A scenario's [mission] as the bridge takes it: plan, designs for every vehicle that may be lost, the usual script."""
+
+import math
+
+import numpy as np
+
+from bridge.fleet.fleet import Fleet
+from bridge.mission.guards import Guard
+from bridge.mission.mission import Mission, Script
+from bridge.mission.mission_plan import MissionPlan
+from bridge.mission.phases import ORDER, RULES, Phase
+from cablequad.control.design import Design, DesignError, sampled_law
+from cablequad.control.estimate import Filter, observer
+from cablequad.control.trajectory import Trajectory
+from cablequad.model.attitude import Airframe
+from cablequad.model.linear import EquilibriumError, equilibrium
+from cablequad.model.system import without
+from missions.scenario import scenario as scenarios
+from missions.scenario.layout import standing_places, standing_z
+from missions.scenario.scenario import Flight
+from missions.scenario.script import script_from
+from missions.scenario.tracking import Grounded, Standing
+
+PULL = 0.9  # of a vehicle's greatest thrust: the most that a cable may bear where nothing is said
+
+
+ON_THE_GROUND = (Phase.TAKE_OFF, Phase.TENSION)  # what a mission that begins in the air leaves out
+
+
+async def usual(mission: Mission) -> None:
+    """Every phase after the other."""
+    for phase in ORDER:
+        if not (mission.plan.airborne and phase in ON_THE_GROUND):
+            await mission.begin(phase)
+        if phase is Phase.LIFT:
+            await mission.wait(mission.plan.hold_s)
+
+
+def script_of(flight: Flight, waits: bool) -> Script:
+    """What a flight's mission runs: its own script, or every phase after the other.
+
+    `waits`: the vehicles' clock stands still while a script runs.
+    """
+    return usual if flight.script is None else script_from(flight.script, flight.script_name, waits)
+
+
+def standing(flight: Flight) -> Standing | None:
+    """Where load and vehicles stand on the ground; None without ground."""
+    s = flight.scenario
+    if s.ground is None:
+        return None
+    airborne = s.mission is not None and s.mission.start == "air"
+    R0 = _hangs(flight) if airborne else flight.initial.R0
+    return Standing(standing_z(s, s.ground, R0), s.ground.z_m - s.vehicle.feet_m[1])
+
+
+def felt(mission: Mission) -> Grounded | None:
+    """A mission's figures as its vehicles and the tracker told them, where no simulator knows better."""
+    where = mission.load_m
+    if where is None:
+        return None
+    tension, separation = mission.largest_tension_N, mission.smallest_separation_m
+    return Grounded(where, mission.touch_down_m_s, tension, separation, None)
+
+
+def _hangs(flight: Flight) -> np.ndarray:
+    try:
+        return np.asarray(equilibrium(flight.system).R0)
+    except EquilibriumError:
+        return np.eye(3)
+
+
+def contingencies(flight: Flight, design: Design) -> tuple[dict[frozenset[int], Design], dict[frozenset[int], Filter]]:
+    """Designs and filters by the vehicles lost, at most one; who cannot be spared is not among them."""
+    blur = scenarios.filter(flight)
+    designs: dict[frozenset[int], Design] = {frozenset(): design}
+    filters: dict[frozenset[int], Filter] = {} if blur is None else {frozenset(): blur}
+    whole, s = flight.system, flight.scenario
+    n = len(whole.m)
+    if n == 1 or s.mission is None or not s.mission.protect:
+        return designs, filters
+    period = flight.control_us * 1e-6
+    for i in range(n):
+        rest = [k for k in range(n) if k != i]
+        system = without(whole, [i])
+        air = Airframe(*(np.ascontiguousarray(field[rest]) for field in flight.airframe))
+        try:
+            law = sampled_law(system, air, scenarios.weights(flight), period, s.control.delay_ticks)
+            seen = (
+                observer(system, air, period, s.control.sensing, scenarios.noise(flight)) if blur is not None else None
+            )
+        except (DesignError, EquilibriumError, np.linalg.LinAlgError):
+            continue
+        designs[frozenset({i})] = law
+        if seen is not None:
+            filters[frozenset({i})] = seen.filter
+    return designs, filters
+
+
+def plan_of(flight: Flight) -> MissionPlan:
+    """The mission plan of a flight with [mission]."""
+    s = flight.scenario
+    m, ground = s.mission, s.ground
+    assert m is not None
+    assert ground is not None
+    places = standing(flight)
+    assert places is not None
+    rest = places.load_z
+    flat = standing_places(s, ground, flight.system.rho)
+    stands = np.column_stack([flat, np.full(len(flat), places.vehicle_z - rest)])
+    hangs = _hangs(flight)
+    lifted = rest - m.lift_m
+
+    def route(start: list[float], end: list[float]) -> Trajectory:
+        return scenarios.route(s, start, end)
+
+    target = [*s.target.position_m[:2], lifted, math.radians(s.target.yaw_deg)]
+    limits = {phase: m.limits_s.get(phase.value, RULES[phase].limit_s) for phase in Phase}
+    return MissionPlan(
+        rest, stands, hangs, target, route, scenarios.limits(s), m.lift_m, m.slack, m.pretension, m.lift_speed_m_s,
+        m.set_down_speed_m_s, m.take_off_speed_m_s, limits, guards(flight), fence(flight), m.battery,
+        m.hooks, m.protect, m.start == "air", m.hold_s,
+    )  # fmt: skip
+
+
+def fence(flight: Flight) -> np.ndarray:
+    """(2, 3) m: the lowest and the highest corner of where load and vehicles may be."""
+    mission = flight.scenario.mission
+    given = None if mission is None else mission.fence_m
+    if given is not None:
+        corners = np.array(given)
+        return np.array([corners.min(axis=0), corners.max(axis=0)])
+    ground = flight.scenario.ground
+    assert ground is not None
+    x, y, _ = flight.scenario.initial.position_m
+    return np.array([[x - 50.0, y - 50.0, ground.z_m - 30.0], [x + 50.0, y + 50.0, ground.z_m + 1.0]])
+
+
+def guards(flight: Flight) -> tuple[Guard, ...]:
+    """The guards of a mission, each with what is done where it is broken."""
+    m = flight.scenario.mission
+    assert m is not None
+    g = m.guards
+    weight = flight.system.m * flight.system.g
+    tension = g.tension_N if g.tension_N is not None else PULL * float((flight.airframe.max_thrust - weight).min())
+    return (
+        Guard("tension_N", tension, "set-down", 0.2),
+        Guard("separation_m", g.separation_m, "set-down", 0.1),
+        Guard("tilt_deg", g.tilt_deg, "pause", 0.3),
+        Guard("load_tilt_deg", g.load_tilt_deg, "set-down", 1.0),
+        Guard("outside_fence_m", g.outside_fence_m, "set-down", 0.2),
+        Guard("thrust_reserve", g.thrust_reserve, "pause", 0.3),
+        Guard("state_age_s", g.state_age_s, "pause", 0.0),
+        Guard("off_plan_m", g.off_plan_m, "pause", 0.1),
+        Guard("battery", g.battery, "set-down", 1.0),
+    )
+
+
+def mission_of(flight: Flight, fleet: Fleet, design: Design, script: Script = usual) -> Mission:
+    """The mission of a flight, ready to be flown."""
+    plan = plan_of(flight)
+    designs, filters = contingencies(flight, design)
+    if not plan.protect:  # nothing finds out what lasts, either
+        designs = {lost: d._replace(held=0.0 * d.held) for lost, d in designs.items()}
+    return Mission(plan, fleet, designs, filters, flight.control_us * 1e-6, script)
