@@ -29,7 +29,17 @@ def factor(scenario: str, backend: str, n: int) -> float:
         peers.append(subprocess.Popen([*command, "--mavlink", str(14540 + OFFSET + i)], stderr=subprocess.DEVNULL))
     try:
         with tempfile.TemporaryDirectory() as folder:
-            flight = [sys.executable, "-m", "missions.cli.cli", "fly", scenario, "--backend", backend, "--speed", "max"]
+            flight = [
+                sys.executable,
+                "-m",
+                "missions.cli.main",
+                "fly",
+                scenario,
+                "--backend",
+                backend,
+                "--speed",
+                "max",
+            ]
             more = ["--json", "--no-replay", "--out", folder, "--port-offset", str(OFFSET)]
             out = subprocess.run([*flight, *more], capture_output=True, text=True, check=False).stdout
     finally:

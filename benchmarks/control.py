@@ -16,7 +16,7 @@ from rich.table import Table
 
 from logs.reading import reader
 from missions.flight.run import Options, Progress, run
-from missions.scenario import scenario as scenarios
+from missions.scenario import loading as scenarios
 
 PROTOTYPE = {
     "paper-case-1-50hz": {"error_8_10_m": 0.012},

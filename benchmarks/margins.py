@@ -13,8 +13,8 @@ from rich.console import Console
 from rich.table import Table
 
 from missions.analysis.margins import measure
-from missions.flight.report import margin_text
-from missions.scenario import scenario as scenarios
+from missions.flight.terminal import margin_text
+from missions.scenario import loading as scenarios
 
 
 def drawn(seed: int) -> str:

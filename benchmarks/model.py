@@ -324,7 +324,7 @@ def starts() -> dict:
         firsts, wholes = [], []
         for _ in range(3):
             begun = time.perf_counter()
-            child = subprocess.Popen([sys.executable, "-m", "missions.cli.cli", *arguments], stdout=subprocess.PIPE)
+            child = subprocess.Popen([sys.executable, "-m", "missions.cli.main", *arguments], stdout=subprocess.PIPE)
             assert child.stdout is not None
             child.stdout.readline()
             firsts.append(time.perf_counter() - begun)

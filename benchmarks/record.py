@@ -26,9 +26,9 @@ from logs.schema import cablequad_pb2 as pb
 from logs.views import replay
 from logs.writing.recorder import CHUNK_BYTES
 from logs.writing.serialize import LogWriter, Waiting, serialized
-from missions.flight.recording.scribe import TOGETHER, Scribe
+from missions.flight.recording.log_process import TOGETHER, Scribe
 from missions.flight.run import Options, Progress, run
-from missions.scenario import scenario as scenarios
+from missions.scenario import loading as scenarios
 
 WARM_S = 4.0  # of a flight's clock, before which nothing is measured
 

@@ -21,8 +21,8 @@ from rich.console import Console
 from rich.table import Table
 
 from bridge.fleet.fleet import Fleet
-from bridge.loop import decide
-from bridge.loop.observe import Observer
+from bridge.loop import deciders as decide
+from bridge.loop.state_assembly import Observer
 from bridge.wire.dialect import mavlink
 from bridge.wire.frames import frame
 from bridge.wire.link import Link
@@ -32,14 +32,14 @@ from cablequad.model import lie
 from cablequad.model.instant import row
 from cablequad.model.state import State
 from missions.flight import simulate
-from missions.flight.recording.scribe import Scribe
+from missions.flight.recording.log_process import Scribe
 from missions.flight.run import Options, Progress, run
-from missions.scenario import scenario as scenarios
+from missions.scenario import loading as scenarios
 from sitl.firmware.autopilot import Autopilot, Body, LinkKind
 from sitl.firmware.px4 import Px4
-from sitl.load import LoadReport
 from sitl.plant import Plant
 from sitl.tracker import Tracker
+from sitl.tracker_batch import LoadReport
 
 R = lie.exp(np.array([0.1, -0.2, 0.3]))
 V = np.array([0.3, -0.1, 0.2])

@@ -6,10 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cablequad.boxed import hold
 from cablequad.environment.air import Air
 from cablequad.environment.ground import Ground, ground, standing
-from cablequad.environment.loose import fly_loose
 from cablequad.environment.rotors import Rotors
+from cablequad.environment.untethered import fly_loose
 from cablequad.environment.world import (
     AIR,
     DRIVEN,
@@ -22,7 +23,6 @@ from cablequad.environment.world import (
     seen,
     turn_on_stands,
 )
-from cablequad.held import hold
 from cablequad.model.attitude import Airframe, Setpoint
 from cablequad.model.instant import Motion, Shapes, felt, motion_of, motion_shapes, places, row
 from cablequad.model.integrate import Command, Scratch, scratch

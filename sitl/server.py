@@ -9,23 +9,23 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from bridge.wire.faults import Channel, Faults, generator
 from bridge.wire.frames import Packed, Signer
 from bridge.wire.link import Address, Link, Mishandled, Received
+from bridge.wire.link_faults import Channel, Faults, generator
 from bridge.wire.messages import encode
 from bridge.wire.values import IN_AIR, ON_GROUND, AttitudeTarget, Timesync
 from cablequad.model import lie
 from cablequad.types import Array
 from sitl import tracker
+from sitl.addresses import places, tracker_endpoints
 from sitl.batteries import Batteries
 from sitl.failures import Broken
 from sitl.firmware.arducopter import ArduCopter
-from sitl.firmware.attitudes import Attitudes
+from sitl.firmware.attitude_batch import Attitudes
 from sitl.firmware.autopilot import ATTITUDE_QUATERNION, HIGHRES_IMU, Autopilot, Body
 from sitl.firmware.navigate import attitude
 from sitl.firmware.px4 import Px4
 from sitl.firmware.telemetry import BUILD, Snapshot
-from sitl.places import places, tracker_endpoints
 from sitl.plant import LoosePlant, Plant, Truth
 from sitl.settings import Event, Report, Settings, Sink, plant_of, sensors_of, unread_frames
 

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from bridge.wire.faults import Faults
 from bridge.wire.link import Counters
+from bridge.wire.link_faults import Faults
 from cablequad.model.attitude import Airframe
 from cablequad.model.earth import Home
 from cablequad.model.noise import Biases, Noise

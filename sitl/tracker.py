@@ -8,8 +8,8 @@ from bridge.wire.link import Address, Link
 from bridge.wire.messages import encode
 from bridge.wire.values import Heartbeat, VehicleAttitude, VehiclePosition
 from cablequad.types import Counts
-from sitl.load import LoadReport
 from sitl.plant import Truth
+from sitl.tracker_batch import LoadReport
 
 SYSTEM, COMPONENT = 200, 191
 MAP_US = 100_000

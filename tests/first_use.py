@@ -13,7 +13,7 @@ from numba.core.dispatcher import Dispatcher
 from bridge.wire.link import Received
 from bridge.wire.values import AttitudeTarget
 from missions.flight import run, simulate
-from missions.scenario import scenario
+from missions.scenario import loading as scenario
 from sitl.server import Server
 
 LEVEL = (1.0, 0.0, 0.0, 0.0)

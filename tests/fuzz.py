@@ -23,7 +23,7 @@ from dialects import absurd_fields
 from bridge.wire.dialect import mavlink
 from bridge.wire.frames import Packed, Signer, checksum, frame
 from missions.flight.simulate import Serving, settings
-from missions.scenario import scenario as scenarios
+from missions.scenario import loading as scenarios
 from sitl.server import Server
 
 BATCH = 200  # frames between two ticks; well inside what a socket's buffer holds

@@ -62,7 +62,7 @@ def soak(minutes: float, loss: float, offset: int) -> dict[str, Any]:
         folder = Path(name)
         begun = time.monotonic()
         flying = subprocess.Popen(
-            [sys.executable, "-m", "missions.cli.cli", "fly", str(lossy(minutes, loss, folder)), "--json", "--no-replay",
+            [sys.executable, "-m", "missions.cli.main", "fly", str(lossy(minutes, loss, folder)), "--json", "--no-replay",
              "--out", str(folder), "--port-offset", str(offset)],
             stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         )  # fmt: skip

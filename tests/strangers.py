@@ -45,7 +45,7 @@ def ports(offset: int) -> list[int]:
 def fly(scenario: str, seconds: float, out: Path, offset: int, *more: str) -> subprocess.Popen[str]:
     """Start the flight, as the command line does."""
     command = [
-        sys.executable, "-m", "missions.cli.cli", "fly", scenario, "--json", "--no-replay", "--out", str(out),
+        sys.executable, "-m", "missions.cli.main", "fly", scenario, "--json", "--no-replay", "--out", str(out),
         "--port-offset", str(offset), *more,
     ]  # fmt: skip
     if seconds:

@@ -23,7 +23,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mav
 
-from bridge.loop.relate import Relation
+from bridge.loop.time_sync import Relation
 from bridge.wire.values import Origin, Timesync, VehicleAttitude, VehiclePosition
 from cablequad.model import lie
 from cablequad.model.earth import Home
@@ -32,8 +32,8 @@ from logs.schema import cablequad_pb2 as pb
 from missions.analysis.identify import answers, fitted
 from missions.flight.launch import ardupilot_parameters, authority, launches, px4_parameters
 from missions.flight.simulate import Serving, settings
-from missions.scenario import scenario as scenarios
-from missions.scenario.scenario import ScenarioError
+from missions.scenario import loading as scenarios
+from missions.scenario.loading import ScenarioError
 from sitl.external import ardupilot, px4
 from sitl.external.ardupilot import ArduPilotSeat, PacketError, servos
 from sitl.external.joint import AutopilotError, JointServer, Steps, steps

@@ -7,7 +7,7 @@ import pytest
 
 from cablequad.analysis.rollout import Timing, rollout
 from cablequad.control.trajectory import at
-from missions.scenario import scenario
+from missions.scenario import loading as scenario
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from cablequad.model.attitude import Airframe
 from cablequad.model.state import State
 from cablequad.model.system import Cable, Payload, Quadrotor, System
 from missions.analysis.check import check
-from missions.scenario import scenario
+from missions.scenario import loading as scenario
 
 PAPER = System.paper(1)
 AIRFRAME = Airframe(np.full(4, 40.0), np.full(4, 0.9), np.full(4, 25.0))
@@ -220,7 +220,7 @@ def test_check_prints_a_page_and_an_object() -> None:
 
 def test_region_of_attraction_by_simulation_is_larger_than_what_is_certified() -> None:
     from missions.analysis.check import DIRECTIONS, _reach
-    from missions.scenario import scenario
+    from missions.scenario import loading as scenario
 
     flight = scenario.load("paper-case-1")
     row = _reach(scenario.design(flight), flight, len(DIRECTIONS) - 1)

@@ -7,9 +7,9 @@ from typing import Any, cast
 
 import pytest
 
-from missions.cli import cli
+from missions.cli import main as cli
 from missions.cli.exits import INTERRUPTED
-from missions.flight.children import begin
+from missions.flight.child_process import begin
 
 
 def test_what_interrupts_the_start_of_a_process_waits_until_it_has_begun() -> None:

@@ -7,7 +7,8 @@ import pytest
 from conftest import cablequad, flown
 
 from cablequad.control.trajectory import Limits, at
-from missions.scenario import course, scenario
+from missions.scenario import course
+from missions.scenario import loading as scenario
 
 SCRIPTS = Path(course.__file__).parents[1] / "scripts"
 

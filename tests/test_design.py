@@ -5,6 +5,7 @@ import pytest
 from conftest import irregular
 
 from cablequad.analysis.rollout import Timing, rollout
+from cablequad.control.control_step import Measurement, first_memory, tick
 from cablequad.control.design import (
     Weights,
     continuous_law,
@@ -14,10 +15,9 @@ from cablequad.control.design import (
     sampled_loop,
     state_space,
 )
-from cablequad.control.pilot import Measurement, first_memory, tick
 from cablequad.control.trajectory import Limits, Reference, at, leg
 from cablequad.model.attitude import Airframe, Setpoint, flown
-from cablequad.model.reach import OUTPUTS, held_outputs, reach
+from cablequad.model.controllability import OUTPUTS, held_outputs, reach
 from cablequad.model.state import State
 from cablequad.model.stiffness import stable_substep, stiffest_mode
 from cablequad.model.system import Cable, Payload, Quadrotor, System

@@ -8,8 +8,8 @@ from soak import soak
 from strangers import strangers
 
 from bridge.wire.frames import frame
-from bridge.wire.keys import write_key
 from bridge.wire.messages import encode
+from bridge.wire.signing_keys import write_key
 from bridge.wire.values import Command, ParamSet
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from cablequad.analysis.rollout import Timing, rollout
 from cablequad.control.design import Weights, sampled_law
-from cablequad.control.estimate import corrected, first_belief, nothing_seen, observer, predicted
+from cablequad.control.estimator import corrected, first_belief, nothing_seen, observer, predicted
 from cablequad.control.trajectory import Limits, at, leg
 from cablequad.model import lie
 from cablequad.model.attitude import Airframe, Setpoint

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bridge.wire.faults import Channel, Faults, generator
+from bridge.wire.link_faults import Channel, Faults, generator
 
 TICK = 4000
 

@@ -12,9 +12,9 @@ from conftest import cablequad, next_offset
 from cablequad.analysis.margins import modes
 from cablequad.model.linear import linearize
 from cablequad.model.stiffness import stiffest_mode
-from missions.scenario import scenario as scenarios
+from missions.scenario import loading as scenarios
 from missions.scenario.feasibility import obstacles, strays
-from missions.scenario.scenario import ScenarioError
+from missions.scenario.loading import ScenarioError
 
 CASE_1 = (resources.files("missions") / "scenarios" / "paper-case-1.toml").read_text()
 MISSION = (resources.files("missions") / "scenarios" / "ground-to-ground.toml").read_text()

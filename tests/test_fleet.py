@@ -9,8 +9,8 @@ from bridge.fleet.fleet import Fleet
 from bridge.fleet.profiles import PROFILES
 from bridge.fleet.thrust import ThrustScale, made_thrust_N
 from bridge.fleet.vehicle import Request, Stage
-from bridge.loop.gate import Gate
-from bridge.loop.observe import Loop, Observer
+from bridge.loop.state_assembly import Loop, Observer
+from bridge.loop.tick_barrier import Gate
 from bridge.wire.values import (
     CableShape,
     Command,

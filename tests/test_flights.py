@@ -7,7 +7,7 @@ import pytest
 from conftest import flown, next_offset
 
 from logs.reading.reader import Run, read
-from missions.scenario import scenario
+from missions.scenario import loading as scenario
 
 FLOWN_ELSEWHERE = {"paper-case-1"}  # by test_fly.py
 

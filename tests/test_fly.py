@@ -23,7 +23,7 @@ from cablequad.analysis.rollout import Timing, rollout
 from cablequad.control.trajectory import at
 from logs.reading.reader import read
 from logs.reading.records import entries
-from missions.scenario import scenario
+from missions.scenario import loading as scenario
 
 TARGET = np.array([0.44, 0.78, -0.5])
 

@@ -11,7 +11,7 @@ import pytest
 from conftest import flown
 
 from logs.reading.reader import read
-from missions.flight.recording import gaps
+from missions.flight.recording import idle_scheduler as gaps
 
 STEPS, LATE_FROM = 60, 30
 

@@ -23,7 +23,7 @@ from cablequad.model.dynamics import accelerations, energy
 from cablequad.model.integrate import Command, scratch
 from cablequad.model.state import State, positions, velocities
 from cablequad.model.system import System, cut_off, without
-from missions.analysis.redecide import redecide
+from missions.analysis.replay_control import redecide
 
 H = 1e-3
 FEET = np.array([(a, b, 0.1) for a in (-0.12, 0.12) for b in (-0.12, 0.12)])

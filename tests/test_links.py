@@ -12,9 +12,9 @@ from conftest import Command, cablequad, flown, wait_for_line
 
 from bridge.wire.dialect import mavlink
 from bridge.wire.frames import Signer, frame
-from bridge.wire.keys import read_key
 from bridge.wire.link import Endpoint, Link
 from bridge.wire.messages import encode
+from bridge.wire.signing_keys import read_key
 from bridge.wire.values import Command as Asked
 from bridge.wire.values import Heartbeat
 from logs.reading.records import entries

@@ -30,10 +30,11 @@ from logs.reading.messages import Messages
 from logs.reading.reader import LogError, Run, missing_before, read
 from logs.reading.records import Damage, entries
 from logs.schema import cablequad_pb2 as pb
-from logs.views import figures, page, replay, video
+from logs.views import figures, replay, video
+from logs.views import report as page
 from logs.views.motion import motion_of
 from logs.writing.encode import single
-from missions.analysis.redecide import redecide
+from missions.analysis.replay_control import redecide
 
 HERE = Path(__file__).parent
 GOLDEN = sorted((HERE / "golden").glob("*.mcap"))
@@ -354,7 +355,7 @@ def test_a_browser_opens_the_served_replay(tmp_path: Path) -> None:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     server = subprocess.Popen(
-        [sys.executable, "-m", "missions.cli.cli", "replay", str(CASE_2), "--serve", "--port", str(port)],
+        [sys.executable, "-m", "missions.cli.main", "replay", str(CASE_2), "--serve", "--port", str(port)],
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
     )  # fmt: skip
     try:

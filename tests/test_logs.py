@@ -19,8 +19,8 @@ from bridge.mission.phases import FLY
 from bridge.wire.frames import frame
 from bridge.wire.messages import encode
 from bridge.wire.values import AttitudeTarget
+from cablequad.control.control_step import Measurement, Sample, first_memory, tick
 from cablequad.control.design import Weights, sampled_law
-from cablequad.control.pilot import Measurement, Sample, first_memory, tick
 from cablequad.control.trajectory import Reference
 from cablequad.model.attitude import Airframe
 from cablequad.model.instant import Motion
@@ -36,7 +36,7 @@ from logs.writing import recorder as recorders
 from logs.writing.encode import Model, single
 from logs.writing.recorder import Attachment, Decisions, Recorder, RecorderError
 from logs.writing.serialize import LogWriter, Waiting, serialized
-from missions.flight.recording.opening import drawn_model
+from missions.flight.recording.header import drawn_model
 
 SYSTEM = System.paper(1)
 MODEL = Model(SYSTEM, (0.6, 0.8, 0.2), (25.0,) * 4)

@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 from conftest import Command, cablequad, flown, next_offset
 
-from bridge.mission.each import clear_of
 from bridge.mission.guards import Guard, Watch, separation
+from bridge.mission.per_vehicle import clear_of
 from bridge.mission.phases import ORDER, RULES, Phase
 from bridge.mission.plan_clock import PlanClock
 from logs.reading.reader import Run, read
 from missions.analysis.drills import compared, drills, harm, rehearsal
 from missions.flight.summary import Summary
-from missions.scenario import scenario as scenarios
+from missions.scenario import loading as scenarios
 from missions.scenario.script import ScriptError, script_from
 from missions.scenario.tables import FailureTable
 from sitl.failures import Broken, Failure

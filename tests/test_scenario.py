@@ -9,7 +9,7 @@ from conftest import cablequad
 from cablequad.analysis.rollout import Timing, rollout
 from cablequad.control.trajectory import at
 from cablequad.model import lie
-from missions.scenario.scenario import ScenarioError, scenario
+from missions.scenario.loading import ScenarioError, scenario
 
 CASE_1 = scenario.text("paper-case-1")
 
@@ -94,7 +94,7 @@ def test_help_is_quick_because_nothing_heavy_is_imported() -> None:
     import subprocess
     import sys
 
-    code = "import sys; import missions.cli.cli; print([m for m in ('numpy', 'numba', 'rerun', 'control') if m in sys.modules])"
+    code = "import sys; import missions.cli.main; print([m for m in ('numpy', 'numba', 'rerun', 'control') if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
 

@@ -14,12 +14,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bridge.mission.mission import Mission
+from bridge.mission.observation import Sight
 from bridge.mission.phases import FLYING, LOADED, Phase
-from bridge.mission.sight import Sight
 from cablequad.control.design import Design
-from missions.scenario import scenario as scenarios
-from missions.scenario.mission import plan_of
-from missions.scenario.scenario import Flight
+from missions.scenario import loading as scenarios
+from missions.scenario.loading import Flight
+from missions.scenario.mission_setup import plan_of
 from missions.scenario.script import ScriptError, script_from
 from missions.scenario.script_runner import COMPUTES_S
 

@@ -13,7 +13,7 @@ from strangers import COMPARED
 from bridge.wire.ports import Address, DatagramPort
 from logs.reading.records import entries
 from missions.flight.run import Options, Progress, run
-from missions.scenario import scenario as scenarios
+from missions.scenario import loading as scenarios
 
 STALL_S = 8.0  # longer than every wall-clock limit of a flight that is not in lockstep
 

@@ -11,8 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bridge.fleet.setpoints import Setpoints, WireError
-from bridge.wire import generate, watch
+from bridge.fleet.setpoint_batch import Setpoints, WireError
+from bridge.wire import generate
+from bridge.wire import poller as watch
 from bridge.wire.dialect import CABLE_STATE, mavlink
 from bridge.wire.frames import Packed, Signer, Verdict, fields, frame, packed
 from bridge.wire.link import Endpoint, Link, LinkError
@@ -43,9 +44,9 @@ from cablequad.model import lie
 from cablequad.model.earth import Home
 from cablequad.model.instant import row
 from cablequad.model.state import State
-from sitl.firmware.attitudes import Attitudes
+from sitl.firmware.attitude_batch import Attitudes
 from sitl.firmware.telemetry import BUILD, Snapshot
-from sitl.load import LoadReport
+from sitl.tracker_batch import LoadReport
 
 
 def over_the_wire(value: object) -> object:

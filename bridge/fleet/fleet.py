@@ -9,7 +9,7 @@ import math
 from typing import Any
 
 from bridge.fleet.profiles import NEEDED_STREAMS, PROFILES, STREAMS_US
-from bridge.fleet.setpoints import Setpoints
+from bridge.fleet.setpoint_batch import Setpoints
 from bridge.fleet.thrust import MotorCommand, ThrustLaw
 from bridge.fleet.vehicle import ASK, RETRIES_S, TOGETHER, Request, Stage, Vehicle, because, command
 from bridge.wire.dialect import mavlink
@@ -28,8 +28,8 @@ from bridge.wire.values import (
     VehicleAttitude,
     VehiclePosition,
 )
-from cablequad.control.estimate import Sensing
-from cablequad.control.pilot import Sample
+from cablequad.control.control_step import Sample
+from cablequad.control.estimator import Sensing
 from cablequad.types import Array
 
 SYSTEM, COMPONENT = 250, 191

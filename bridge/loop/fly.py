@@ -6,19 +6,19 @@ from operator import attrgetter
 from typing import NamedTuple, Protocol
 
 from bridge.fleet.fleet import COMPONENT, SYSTEM, TRACKER, Fleet
-from bridge.fleet.setpoints import Setpoints, WireError
+from bridge.fleet.setpoint_batch import Setpoints, WireError
 from bridge.fleet.sources import Sources
 from bridge.fleet.thrust import ThrustScale, made_thrust_N
 from bridge.fleet.vehicle import Request
-from bridge.loop.decide import Decider
-from bridge.loop.gate import CLOSING, Gate
-from bridge.loop.observe import Instant, Loop
-from bridge.loop.relate import Related, Relation
-from bridge.wire.faults import Channel
+from bridge.loop.deciders import Decider
+from bridge.loop.state_assembly import Instant, Loop
+from bridge.loop.tick_barrier import CLOSING, Gate
+from bridge.loop.time_sync import Related, Relation
 from bridge.wire.link import Address, Link, Mishandled, Received
+from bridge.wire.link_faults import Channel
 from bridge.wire.messages import encode
 from bridge.wire.values import Command, CommandAck, Heartbeat, Imu, Origin, PayloadState, Timesync
-from cablequad.control.pilot import Sample
+from cablequad.control.control_step import Sample
 
 PROCESS_ANYWAY_S = 0.5  # wall clock: frames that complete no state are acted on after this long all the same
 SILENT_S = 3.0  # wall clock without a single frame

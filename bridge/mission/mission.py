@@ -12,21 +12,21 @@ from typing import Any
 import numpy as np
 
 from bridge.fleet.fleet import Fleet
-from bridge.mission.crew import bare, blind, static_shares
-from bridge.mission.each import SHARE_S, Each, clear_of
+from bridge.mission.cable_geometry import Rig, yaw_of
+from bridge.mission.fault_detection import Loss, Losses
+from bridge.mission.fleet_subset import bare, blind, static_shares
 from bridge.mission.guards import Reading, Watch, outside_fence, readings, separation
-from bridge.mission.losses import Loss, Losses
-from bridge.mission.mission_plan import MissionPlan
+from bridge.mission.observation import Sight
+from bridge.mission.per_vehicle import SHARE_S, Each, clear_of
 from bridge.mission.phases import FLYING, LOADED, RULES, Phase
+from bridge.mission.plan import MissionPlan
 from bridge.mission.plan_clock import PlanClock
-from bridge.mission.rig import Rig, yaw_of
-from bridge.mission.sight import Sight
-from bridge.mission.unready import unready
+from bridge.mission.preflight_checks import unready
 from bridge.wire.dialect import mavlink
+from cablequad.control.control_step import Measurement, Sample, first_memory, tick
 from cablequad.control.design import Design
-from cablequad.control.estimate import Filter
-from cablequad.control.pilot import Measurement, Sample, first_memory, tick
-from cablequad.control.single import Goals
+from cablequad.control.estimator import Filter
+from cablequad.control.single_vehicle import Goals
 from cablequad.control.trajectory import Limits, Reference, Trajectory, at, joined, leg, sink, still
 from cablequad.model import lie
 from cablequad.types import Array

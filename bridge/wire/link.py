@@ -10,11 +10,11 @@ from collections import deque
 from collections.abc import Collection, Sequence
 from typing import Any, NamedTuple
 
+from bridge.wire.batches import Sheet
 from bridge.wire.frames import SIGNED, Packed, Signer, Verdict, checksum, frame, targeted
 from bridge.wire.messages import KINDS
+from bridge.wire.poller import Watch
 from bridge.wire.ports import Address, Endpoint, LinkError, Port, StreamPort, open_port
-from bridge.wire.sheets import Sheet
-from bridge.wire.watch import Watch
 
 __all__ = ["Address", "Counters", "Endpoint", "Link", "LinkError", "Mishandled", "Received"]
 

@@ -4,7 +4,7 @@ import socket
 from collections import OrderedDict
 from typing import NamedTuple
 
-from bridge.wire.watch import Watch
+from bridge.wire.poller import Watch
 
 Address = tuple[str, int]
 

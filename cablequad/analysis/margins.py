@@ -8,8 +8,8 @@ from scipy import linalg
 
 from cablequad.control.design import Design, loop_gains, sampled_loop, state_space, undelayed
 from cablequad.model.attitude import Airframe
+from cablequad.model.controllability import coordinate_names
 from cablequad.model.linear import linearize
-from cablequad.model.reach import coordinate_names
 from cablequad.model.system import System
 from cablequad.types import Array
 

@@ -5,10 +5,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cablequad.control.control_step import Measurement, Sample, first_memory, tick
 from cablequad.control.design import Design
 from cablequad.control.geometric import AttitudeCommand
 from cablequad.control.paper_law import Gains, commands
-from cablequad.control.pilot import Measurement, Sample, first_memory, tick
 from cablequad.control.trajectory import Reference
 from cablequad.model.attitude import Airframe, Setpoint, fly
 from cablequad.model.integrate import scratch, step

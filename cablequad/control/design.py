@@ -11,8 +11,8 @@ import numpy as np
 from scipy import linalg
 
 from cablequad.model.attitude import Airframe
+from cablequad.model.controllability import OUTPUT_AT, held_outputs, reach
 from cablequad.model.linear import equilibrium, equilibrium_forces, linearize
-from cablequad.model.reach import OUTPUT_AT, held_outputs, reach
 from cablequad.model.state import State
 from cablequad.model.stiffness import stable_substep
 from cablequad.model.system import System

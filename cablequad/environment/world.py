@@ -5,10 +5,10 @@ from typing import NamedTuple
 import numpy as np
 
 from cablequad._jit import jit
+from cablequad.boxed import Held
 from cablequad.environment.air import Air, drag
 from cablequad.environment.ground import Ground, advance_on, kept
 from cablequad.environment.rotors import Rotors, drive, spin
-from cablequad.held import Held
 from cablequad.model import lie
 from cablequad.model.attitude import Airframe, Setpoint, fly, moments
 from cablequad.model.instant import row

@@ -10,7 +10,7 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.timestamp_pb2 import Timestamp
 
-from cablequad.control.pilot import Sample
+from cablequad.control.control_step import Sample
 from cablequad.model import lie
 from cablequad.model.instant import Motion
 from cablequad.model.state import Difference, link_poses

@@ -17,7 +17,7 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from mcap_protobuf.schema import build_file_descriptor_set
 
-from cablequad.control.pilot import Sample
+from cablequad.control.control_step import Sample
 from cablequad.model.instant import Motion
 from cablequad.model.state import Difference
 from logs.schema import cablequad_pb2 as pb

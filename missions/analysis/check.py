@@ -12,18 +12,18 @@ from rich.table import Table
 from cablequad.analysis.certificate import attitude_gains, certify, higher_order_slope
 from cablequad.analysis.margins import WEAK, closed_loop_poles, largest_loss, margins, modes
 from cablequad.analysis.rollout import Timing, rollout
+from cablequad.control.control_step import Sample
 from cablequad.control.design import Design, Weights, continuous_law
-from cablequad.control.pilot import Sample
 from cablequad.control.trajectory import Reference, at
 from cablequad.model import lie
+from cablequad.model.controllability import reach
 from cablequad.model.linear import equilibrium
-from cablequad.model.reach import reach
 from cablequad.model.state import State
 from cablequad.model.stiffness import stiffest_mode
 from missions.analysis.batch import spread
-from missions.scenario import scenario as scenarios
+from missions.scenario import loading as scenarios
 from missions.scenario.feasibility import strays
-from missions.scenario.scenario import Flight
+from missions.scenario.loading import Flight
 
 SETTLE_S, SETTLED_M, SETTLED_TILT = 15.0, 0.05, 0.02
 BISECTIONS = 7

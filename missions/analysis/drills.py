@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 from missions.flight.run import Options, Progress, run
 from missions.flight.summary import Summary
-from missions.scenario import scenario as scenarios
-from missions.scenario.scenario import Flight, ScenarioError
+from missions.scenario import loading as scenarios
+from missions.scenario.loading import Flight, ScenarioError
 from missions.scenario.tables import CutTable, FailureTable, GroundTable, MissionTable
 
 HOVER_S = 2.0  # when what happens at hover happens, since the release

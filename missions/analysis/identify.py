@@ -19,8 +19,8 @@ from cablequad.types import Array
 from logs.reading.reader import LogError, read
 from logs.reading.records import entries
 from logs.schema import cablequad_pb2 as pb
-from missions.analysis.redecide import Frame, told_by
-from missions.scenario.scenario import Flight
+from missions.analysis.replay_control import Frame, told_by
+from missions.scenario.loading import Flight
 from sitl.firmware.telemetry import euler
 
 STEP_S = 0.002

@@ -22,8 +22,8 @@ from cablequad.model.state import State
 from cablequad.model.system import System
 from cablequad.types import Array
 from missions.analysis.batch import spread
-from missions.scenario import scenario as scenarios
-from missions.scenario.scenario import Flight, system_of
+from missions.scenario import loading as scenarios
+from missions.scenario.loading import Flight, system_of
 
 FLOWN_S, LAST_S = 25.0, 5.0
 HELD_M = 0.05  # from the target at the end

@@ -14,11 +14,11 @@ from bridge.wire.link import Link, LinkError
 from missions.analysis.check import check
 from missions.analysis.drills import Drill, compared, drills, flown, in_the_air, rehearsal
 from missions.analysis.margins import measure
-from missions.flight.report import margin_text
 from missions.flight.run import Options, Progress, endpoints, run
 from missions.flight.summary import Summary
-from missions.scenario.scenario import Flight, ScenarioError
-from sitl.places import places, tracker_endpoints
+from missions.flight.terminal import margin_text
+from missions.scenario.loading import Flight, ScenarioError
+from sitl.addresses import places, tracker_endpoints
 from sitl.settings import HOST
 
 LANES = 2  # flights at a time

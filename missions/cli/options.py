@@ -9,7 +9,7 @@ from missions.cli.exits import fail, usage
 
 if TYPE_CHECKING:
     from missions.flight.simulate import Backend
-    from missions.scenario.scenario import Flight
+    from missions.scenario.loading import Flight
 
 ScenarioArgument = Annotated[
     str, typer.Argument(help="A shipped scenario's name, the path of a TOML file, or of a script (.py).")
@@ -66,7 +66,7 @@ def load(
     script: Path | None = None,
 ) -> "Flight":
     """A scenario with what the command line says instead. Raises ScenarioError; an unknown firmware ends as usage."""
-    from missions.scenario.scenario import load as read
+    from missions.scenario.loading import load as read
 
     if firmware not in (None, "auto", "px4", "arducopter"):
         usage(f"--firmware: {firmware!r} given; write px4, arducopter or auto")

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from bridge.wire.ports import vehicle_ports
 from cablequad.model.earth import Home
 from missions.flight.simulate import Backend, joint_steps, kinds
-from missions.scenario.scenario import Flight, ScenarioError
+from missions.scenario.loading import Flight, ScenarioError
 from sitl.external.ardupilot import MOTORS
 
 ARM_M = 0.17  # of rotors that nothing is said of

@@ -16,38 +16,38 @@ from types import FrameType
 import numpy as np
 
 from bridge.fleet.fleet import TRACKER, Fleet
-from bridge.fleet.setpoints import Setpoints
-from bridge.loop.decide import PART
+from bridge.fleet.setpoint_batch import Setpoints
+from bridge.loop.deciders import PART
 from bridge.loop.fly import SILENT_S, STALL_S, Outcome, Patience, Timing, fly
-from bridge.loop.relate import Relation
+from bridge.loop.time_sync import Relation
 from bridge.mission.phases import CARRIED, FLY
-from bridge.wire.faults import Channel, Tally, generator
 from bridge.wire.frames import Signer
 from bridge.wire.link import Address, Endpoint, Link, LinkError, Received
+from bridge.wire.link_faults import Channel, Tally, generator
 from bridge.wire.messages import encode as encode_message
 from bridge.wire.messages import reread
 from bridge.wire.ports import TRACKER_PORTS, vehicle_ports
 from bridge.wire.values import PayloadState, VehicleAttitude
+from cablequad.control.control_step import Measurement, Sample, first_memory, tick
 from cablequad.control.design import Design
-from cablequad.control.estimate import Belief, corrected, first_belief, nothing_seen, predicted
-from cablequad.control.pilot import Measurement, Sample, first_memory, tick
-from cablequad.control.single import Goals, fly_each, integrated
+from cablequad.control.estimator import Belief, corrected, first_belief, nothing_seen, predicted
+from cablequad.control.single_vehicle import Goals, fly_each, integrated
 from cablequad.control.trajectory import at
 from cablequad.model import lie
 from cablequad.model.attitude import Setpoint, flown
-from cablequad.model.reach import reach
+from cablequad.model.controllability import reach
 from cablequad.model.state import measured, positions
 from logs.writing.recorder import RecorderError
 from missions.flight.launch import Autopilots, Launch, launches, start_lines
-from missions.flight.ready import Ready, ready
-from missions.flight.recording.opening import opening
-from missions.flight.recording.scribe import Scribe
-from missions.flight.show import Show
+from missions.flight.live_viewer import Show
+from missions.flight.recording.header import opening
+from missions.flight.recording.log_process import Scribe
+from missions.flight.setup import Ready, ready
 from missions.flight.simulate import Backend, Serving, Simulator, few_collections, pin, settings
 from missions.flight.summary import Summary, Track, summarize
-from missions.scenario import scenario as scenarios
-from missions.scenario.mission import felt
-from missions.scenario.scenario import Flight
+from missions.scenario import loading as scenarios
+from missions.scenario.loading import Flight
+from missions.scenario.mission_setup import felt
 from sitl.settings import HOST
 
 SWITCH_S = 0.0005  # the writer thread gives the interpreter back to the control loop this often

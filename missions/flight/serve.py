@@ -11,12 +11,12 @@ from rich.table import Table
 
 from bridge.wire.ports import vehicle_ports
 from missions.flight.launch import Autopilots, launches, start_lines
-from missions.flight.report import telling
 from missions.flight.simulate import Serving, kinds, server_of, settings
-from missions.scenario.scenario import Flight
+from missions.flight.terminal import telling
+from missions.scenario.loading import Flight
+from sitl.addresses import places, tracker_endpoints
 from sitl.external.ardupilot import ARDUPILOT_PORT
 from sitl.external.px4 import PX4_PORT
-from sitl.places import places, tracker_endpoints
 from sitl.plant import Truth
 from sitl.settings import Event
 

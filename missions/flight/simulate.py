@@ -17,10 +17,10 @@ import numpy as np
 from bridge.wire.link import LinkError
 from cablequad.model.earth import Home
 from cablequad.model.noise import Biases
-from missions.flight.children import begin
-from missions.flight.recording.channel import Failure, Ready, Status, put
-from missions.scenario import scenario as scenarios
-from missions.scenario.scenario import Flight, ScenarioError
+from missions.flight.child_process import begin
+from missions.flight.recording.ipc import Failure, Ready, Status, put
+from missions.scenario import loading as scenarios
+from missions.scenario.loading import Flight, ScenarioError
 from missions.scenario.tables import BarometerTable, FailureTable, GpsTable, ImuTable, MagnetometerTable, SensorsTable
 from sitl.batteries import Battery
 from sitl.external.joint import AutopilotError, External, JointServer, Steps, steps

@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bridge.loop.fly import Outcome, Timing
-from cablequad.control.pilot import Sample
+from cablequad.control.control_step import Sample
+from missions.scenario.metrics import Followed, Following, Grounded
 from missions.scenario.tables import AcceptanceTable
-from missions.scenario.tracking import Followed, Following, Grounded
 
 
 class Track:

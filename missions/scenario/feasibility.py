@@ -11,16 +11,16 @@ from cablequad.control.formation import formation
 from cablequad.control.trajectory import Trajectory, at
 from cablequad.model import lie
 from cablequad.model.attitude import Airframe
+from cablequad.model.controllability import reach
 from cablequad.model.linear import Equilibrium, EquilibriumError, equilibrium, equilibrium_forces
-from cablequad.model.reach import reach
 from cablequad.model.state import State, positions
 from cablequad.model.stiffness import LEAST_STEP_US
 from cablequad.model.system import System
 from cablequad.types import Array
-from missions.scenario.layout import airborne, standing_places
-from missions.scenario.scenario import Flight
+from missions.scenario.loading import Flight
+from missions.scenario.metrics import HIT_M
+from missions.scenario.surroundings import airborne, standing_places
 from missions.scenario.tables import PlanTable, Scenario
-from missions.scenario.tracking import HIT_M
 
 LOOKED_AT = 400  # instants of a plan
 SETPOINT_TIMEOUT_S = {"px4": ("COM_OF_LOSS_T", 1.0), "arducopter": ("GUID_TIMEOUT", 3.0)}  # parameter, its default
@@ -169,7 +169,7 @@ def misplaced(flight: Flight) -> Iterator[str]:
     s, system = flight.scenario, flight.system
     if s.ground is None:
         return
-    from missions.scenario.mission import fence, standing  # here, as a mission is made of a flight
+    from missions.scenario.mission_setup import fence, standing  # here, as a mission is made of a flight
 
     stands = standing(flight)
     assert stands is not None

@@ -18,6 +18,7 @@ from bridge.wire.link import Link
 from bridge.wire.messages import encode
 from bridge.wire.values import IN_AIR, ON_GROUND, LandedState, Timesync
 from sitl import tracker
+from sitl.addresses import tracker_endpoints
 from sitl.batteries import Batteries
 from sitl.external.ardupilot import ARDUPILOT_PORT, ArduPilotSeat
 from sitl.external.px4 import PX4_PORT, SENSOR_US, Px4Seat
@@ -25,7 +26,6 @@ from sitl.external.seat import Own, Seat, SeatError
 from sitl.failures import Broken
 from sitl.firmware.telemetry import origin
 from sitl.instruments import Grades, Instruments
-from sitl.places import tracker_endpoints
 from sitl.plant import Truth
 from sitl.settings import Event, Report, Settings, Sink, own_generator, plant_of, sensors_of, unread_frames
 

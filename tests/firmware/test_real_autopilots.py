@@ -15,7 +15,7 @@ import pytest
 from conftest import Command
 
 from logs.reading.reader import read
-from missions.scenario import scenario as scenarios
+from missions.scenario import loading as scenarios
 
 BINARIES = {"ardupilot": os.environ.get("CABLEQUAD_ARDUCOPTER"), "px4": os.environ.get("CABLEQUAD_PX4")}
 WHERE = {"ardupilot": "CABLEQUAD_ARDUCOPTER", "px4": "CABLEQUAD_PX4"}

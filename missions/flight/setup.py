@@ -3,14 +3,14 @@
 from typing import NamedTuple
 
 from bridge.fleet.fleet import Fleet
-from bridge.loop.decide import Decider, MissionDecider, Plan, PlanDecider
-from bridge.loop.observe import Loop
+from bridge.loop.deciders import Decider, MissionDecider, Plan, PlanDecider
+from bridge.loop.state_assembly import Loop
 from bridge.mission.mission import Mission
 from cablequad.control.design import Design
 from cablequad.control.trajectory import at
-from missions.scenario import scenario as scenarios
-from missions.scenario.mission import mission_of, script_of
-from missions.scenario.scenario import Flight
+from missions.scenario import loading as scenarios
+from missions.scenario.loading import Flight
+from missions.scenario.mission_setup import mission_of, script_of
 
 
 class Ready(NamedTuple):

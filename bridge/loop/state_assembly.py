@@ -17,9 +17,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bridge.loop.gate import REBOOT_MS
+from bridge.loop.tick_barrier import REBOOT_MS
 from bridge.wire.values import CableShape, PayloadState, VehicleAttitude, VehiclePosition
-from cablequad.control.estimate import (
+from cablequad.control.estimator import (
     Belief,
     Filter,
     Seen,

@@ -3,9 +3,9 @@
 import numpy as np
 
 from bridge.fleet.fleet import Fleet
-from bridge.mission.mission_plan import MissionPlan
-from bridge.mission.rig import Rig
-from bridge.mission.sight import Sight
+from bridge.mission.cable_geometry import Rig
+from bridge.mission.observation import Sight
+from bridge.mission.plan import MissionPlan
 
 NEAR_M = 0.12
 

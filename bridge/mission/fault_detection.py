@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bridge.mission.sight import Sight
+from bridge.mission.observation import Sight
 from cablequad.types import Array
 
 NO_FOLLOW_RAD, NO_FOLLOW_S = 0.7, 0.2

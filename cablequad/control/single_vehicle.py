@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from cablequad._jit import jit
+from cablequad.control.control_step import commands
 from cablequad.control.design import Design
-from cablequad.control.pilot import commands
 from cablequad.types import Array
 
 STIFFNESS, DAMPING, INTEGRAL = 4.0, 4.0, 1.5  # 1/s^2, 1/s, 1/s^3

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from bridge.wire.batches import Sheet, put_targets
 from bridge.wire.messages import encode
-from bridge.wire.sheets import Sheet, put_targets
 from bridge.wire.values import AttitudeTarget
 from cablequad.types import Array
 

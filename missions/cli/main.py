@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
-from missions.cli.before_cli import check, identify, margins, preflight
+from missions.cli.before_flight import check, identify, margins, preflight
 from missions.cli.exits import FAILED, INTERRUPTED, UNTESTED, fail, untested, usage
-from missions.cli.log_cli import log_app, report
+from missions.cli.log_commands import log_app, report
 from missions.cli.options import (
     BackendOption,
     ConnectOption,
@@ -89,11 +89,11 @@ def fly(
     Exit code 0 if the scenario's acceptance criteria hold, 1 if not, 2 for usage, 3 if the computer could not carry it
     out, 130 after Ctrl-C.
     """
-    from bridge.wire.keys import KeyFileError, read_key
     from bridge.wire.link import Endpoint, LinkError
-    from missions.flight.report import progress
+    from bridge.wire.signing_keys import KeyFileError, read_key
     from missions.flight.run import Options, run
-    from missions.scenario.scenario import ScenarioError
+    from missions.flight.terminal import progress
+    from missions.scenario.loading import ScenarioError
 
     who = backend(backend_name, firmware, launch)
     pace = _speed(speed or ("max" if who == "builtin" else "1"))
@@ -155,11 +155,11 @@ def sitl(
     launch: LaunchOption = None,
 ) -> None:
     """Serve the scenario's vehicles and payload tracker until Ctrl-C."""
-    from bridge.wire.keys import KeyFileError, read_key
     from bridge.wire.link import LinkError
+    from bridge.wire.signing_keys import KeyFileError, read_key
     from missions.flight.serve import serve
     from missions.flight.simulate import Serving
-    from missions.scenario.scenario import ScenarioError
+    from missions.scenario.loading import ScenarioError
     from sitl.external.joint import AutopilotError
     from sitl.plant import PhysicsError
 
@@ -194,9 +194,9 @@ def tell(
     signing_key: KeyOption = None,
 ) -> None:
     """Tell a mission that is being flown to pause, to go on, or to come down."""
-    from bridge.wire.keys import KeyFileError, read_key
     from bridge.wire.link import LinkError
-    from missions.flight import tell as operator
+    from bridge.wire.signing_keys import KeyFileError, read_key
+    from missions.flight import operator as operator
 
     if word not in operator.WORDS:
         usage(f"{word!r} given; tell pause, resume or abort")
@@ -213,7 +213,7 @@ def tell(
 @app.command("signing-key")
 def signing_key(file: Annotated[Path, typer.Argument(help="The new file; only you may read it.")]) -> None:
     """Make a key for MAVLink 2 signing."""
-    from bridge.wire.keys import KeyFileError, write_key
+    from bridge.wire.signing_keys import KeyFileError, write_key
 
     try:
         write_key(file)
@@ -298,7 +298,7 @@ for command in (check, margins, preflight, identify, report):
 def scenarios(context: typer.Context) -> None:
     """List the shipped scenarios."""
     if context.invoked_subcommand is None:
-        from missions.scenario.scenario import names, parse, text
+        from missions.scenario.loading import names, parse, text
 
         for name in names():
             typer.echo(f"{name:24} {parse(text(name), name).description}")
@@ -307,7 +307,7 @@ def scenarios(context: typer.Context) -> None:
 @scenarios_app.command("show")
 def show(name: ScenarioArgument) -> None:
     """Print a scenario's file."""
-    from missions.scenario.scenario import ScenarioError, text
+    from missions.scenario.loading import ScenarioError, text
 
     try:
         typer.echo(text(name), nl=False)
@@ -357,7 +357,7 @@ def _speed(text: str) -> float:
 
 
 def _report(summary: "Summary") -> None:
-    from missions.flight.report import table
+    from missions.flight.terminal import table
 
     table(summary)
 

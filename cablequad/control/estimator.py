@@ -13,13 +13,13 @@ from scipy import linalg
 
 from cablequad._jit import jit
 from cablequad.control.design import state_space
-from cablequad.control.turned import turned, turned_frames, turned_state
+from cablequad.control.yaw_frame import turned, turned_frames, turned_state
 from cablequad.model import lie
 from cablequad.model.attitude import Airframe, Setpoint, fly
+from cablequad.model.controllability import Reach, observed
 from cablequad.model.integrate import scratch
 from cablequad.model.linear import equilibrium, linearize
 from cablequad.model.noise import Noise
-from cablequad.model.reach import Reach, observed
 from cablequad.model.state import Error, State, positions, retract, velocities
 from cablequad.model.system import System
 from cablequad.types import Array

@@ -7,19 +7,19 @@ import numpy as np
 from bridge.fleet.fleet import Fleet
 from bridge.mission.guards import Guard
 from bridge.mission.mission import Mission, Script
-from bridge.mission.mission_plan import MissionPlan
 from bridge.mission.phases import ORDER, RULES, Phase
+from bridge.mission.plan import MissionPlan
 from cablequad.control.design import Design, DesignError, sampled_law
-from cablequad.control.estimate import Filter, observer
+from cablequad.control.estimator import Filter, observer
 from cablequad.control.trajectory import Trajectory
 from cablequad.model.attitude import Airframe
 from cablequad.model.linear import EquilibriumError, equilibrium
 from cablequad.model.system import without
-from missions.scenario import scenario as scenarios
-from missions.scenario.layout import standing_places, standing_z
-from missions.scenario.scenario import Flight
+from missions.scenario import loading as scenarios
+from missions.scenario.loading import Flight
+from missions.scenario.metrics import Grounded, Standing
 from missions.scenario.script import script_from
-from missions.scenario.tracking import Grounded, Standing
+from missions.scenario.surroundings import standing_places, standing_z
 
 PULL = 0.9  # of a vehicle's greatest thrust: the most that a cable may bear where nothing is said
 

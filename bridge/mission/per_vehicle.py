@@ -3,7 +3,7 @@
 import numpy as np
 
 from cablequad.control.design import Design
-from cablequad.control.single import Flown, Goals, fly_each, integrated
+from cablequad.control.single_vehicle import Flown, Goals, fly_each, integrated
 from cablequad.control.trajectory import Limits, Trajectory, at, leg
 from cablequad.types import Array
 

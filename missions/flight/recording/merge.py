@@ -17,8 +17,8 @@ from cablequad.model.instant import Shapes
 from cablequad.model.state import Difference, State, differences
 from logs.writing.encode import Model
 from logs.writing.recorder import Decisions, Message, Recorder
-from missions.flight.recording.channel import Told, take, take_motions, take_samples
-from missions.scenario.tracking import Followed, Following, Grounded, OnGround, Standing
+from missions.flight.recording.ipc import Told, take, take_motions, take_samples
+from missions.scenario.metrics import Followed, Following, Grounded, OnGround, Standing
 from sitl.settings import Event
 
 TRUTH_WAIT_S = 1.0  # the simulator says what it did right after it spoke; longer means that it has ended

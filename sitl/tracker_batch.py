@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from bridge.wire.batches import Sheet, put_load
 from bridge.wire.messages import LINKS_PER_FRAME, encode
-from bridge.wire.sheets import Sheet, put_load
 from bridge.wire.values import CableShape, PayloadState
 from cablequad.types import Array, Counts
 

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from bridge.wire.batches import Sheet, put_attitudes
 from bridge.wire.messages import attitude
-from bridge.wire.sheets import Sheet, put_attitudes
 from cablequad.types import Array
 
 

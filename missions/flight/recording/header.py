@@ -10,13 +10,13 @@ from importlib import metadata as packages
 from pathlib import Path
 
 from cablequad.control.design import Design
-from cablequad.control.turned import about_down
+from cablequad.control.yaw_frame import about_down
 from cablequad.model import lie
 from logs.writing.encode import SCHEMA_VERSION, Model
 from logs.writing.recorder import Attachment, RecorderError
-from missions.flight.recording.scribe import Opening
-from missions.scenario.mission import standing
-from missions.scenario.scenario import Flight
+from missions.flight.recording.log_process import Opening
+from missions.scenario.loading import Flight
+from missions.scenario.mission_setup import standing
 
 
 def opening(flight: Flight, design: Design, out: Path, lockstep: bool, connected: bool, vehicles: str) -> Opening:

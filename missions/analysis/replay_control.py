@@ -11,13 +11,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bridge.fleet.fleet import COMPONENT, SYSTEM, TRACKER
-from bridge.loop.observe import Instant, Observer
-from bridge.loop.relate import Related, Relation
+from bridge.loop.state_assembly import Instant, Observer
+from bridge.loop.time_sync import Related, Relation
 from bridge.mission.phases import FLY
 from bridge.wire.messages import decode
 from bridge.wire.values import Command
+from cablequad.control.control_step import Measurement, first_memory, tick
 from cablequad.control.design import Design
-from cablequad.control.pilot import Measurement, first_memory, tick
 from cablequad.control.trajectory import at
 from logs.reading.columns import columns
 from logs.reading.messages import Messages
@@ -25,9 +25,9 @@ from logs.reading.reader import LogError, read
 from logs.reading.records import entries
 from logs.schema import cablequad_pb2 as pb
 from logs.writing import encode
-from missions.flight.ready import loop_of, ready
-from missions.scenario import scenario as scenarios
-from missions.scenario.scenario import Flight, ScenarioError
+from missions.flight.setup import loop_of, ready
+from missions.scenario import loading as scenarios
+from missions.scenario.loading import Flight, ScenarioError
 
 SYSTEMS = 199  # ids that vehicles may have
 DECISION = ("ideal_force", "thrust", "attitude", "e_x0", "e_v0", "Psi", "e_q", "e_w", "position", "link_direction")

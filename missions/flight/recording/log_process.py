@@ -22,17 +22,17 @@ import numpy as np
 
 from bridge.wire.dialect import mavlink
 from bridge.wire.link import Received
-from cablequad.control.pilot import Sample
+from cablequad.control.control_step import Sample
 from cablequad.model.instant import Motion
 from cablequad.model.state import State, differences
 from logs.writing import encode
 from logs.writing.encode import Model
 from logs.writing.recorder import FLUSH_S, Attachment, Recorder, RecorderError
-from missions.flight.children import begin
-from missions.flight.recording.channel import put_sample, sample_shapes
-from missions.flight.recording.gaps import in_gaps
-from missions.flight.recording.ledger import Judged, Ledger
-from missions.scenario.tracking import Standing
+from missions.flight.child_process import begin
+from missions.flight.recording.idle_scheduler import in_gaps
+from missions.flight.recording.ipc import put_sample, sample_shapes
+from missions.flight.recording.merge import Judged, Ledger
+from missions.scenario.metrics import Standing
 
 PIPE_BYTES = 1 << 20  # what may wait for the scribe before the control loop does
 TOGETHER = 16  # decisions in one write, as a wake-up of the scribe costs more than what it is told

@@ -22,7 +22,7 @@ log_app = typer.Typer(help="Look into a log, check it, mend it, export it, decid
 def log_info(run: LogArgument, as_json: JsonOption = False) -> None:
     """Duration, topics with their rates and gaps, result, scenario and versions of a log."""
     from logs.reading.inspect import info
-    from missions.flight.report import info_table
+    from missions.flight.terminal import info_table
 
     result = _of_log(info, run)
     if as_json:
@@ -96,7 +96,7 @@ def log_export(
 @log_app.command("replay-control")
 def log_replay_control(run: LogArgument, as_json: JsonOption = False) -> None:
     """Feed the recorded measurements through today's controller. Exit code 1 where a decision differs."""
-    from missions.analysis.redecide import redecide
+    from missions.analysis.replay_control import redecide
 
     result = _of_log(redecide, run)
     first = result.first
@@ -142,9 +142,10 @@ def report(
 ) -> None:
     """Write a run as one HTML page with figures (PNG, PDF): the paper's Figures 2 to 5, tensions, links, verdict."""
     from logs.reading.reader import read
-    from logs.views import figures, page
+    from logs.views import figures
+    from logs.views import report as page
     from logs.views import video as videos
-    from missions.flight.report import telling
+    from missions.flight.terminal import telling
 
     folder = out or run.parent
     if not folder.is_dir():

@@ -33,8 +33,8 @@ def check(
     from missions.analysis.check import check as examine
     from missions.analysis.check import show
     from missions.analysis.drills import in_the_air
-    from missions.flight.report import telling
-    from missions.scenario.scenario import ScenarioError
+    from missions.flight.terminal import telling
+    from missions.scenario.loading import ScenarioError
 
     console = Console(width=None if sys.stdout.isatty() else 120, highlight=False, quiet=as_json)
     try:
@@ -66,8 +66,8 @@ def margins(
     """How much delay, loss and wrong modelling the loop stands: predicted, and measured in simulated flights."""
     from missions.analysis.drills import in_the_air
     from missions.analysis.margins import measure, plot
-    from missions.flight.report import margins_table, telling
-    from missions.scenario.scenario import ScenarioError
+    from missions.flight.terminal import margins_table, telling
+    from missions.scenario.loading import ScenarioError
 
     try:
         flight = load(scenario, None, None)
@@ -101,9 +101,9 @@ def preflight(
     from rich.console import Console
 
     from missions.analysis import preflight as page
-    from missions.flight.report import telling
     from missions.flight.run import Options
-    from missions.scenario.scenario import ScenarioError
+    from missions.flight.terminal import telling
+    from missions.scenario.loading import ScenarioError
 
     console = Console(width=None if sys.stdout.isatty() else 120, highlight=False, quiet=as_json)
     try:
@@ -160,9 +160,9 @@ def identify(
     from logs.reading.reader import LogError
     from missions.analysis.drills import changed
     from missions.analysis.identify import identified, with_responses
-    from missions.flight.report import progress
     from missions.flight.run import Options, run
-    from missions.scenario.scenario import ScenarioError
+    from missions.flight.terminal import progress
+    from missions.scenario.loading import ScenarioError
 
     console = Console(width=None if sys.stdout.isatty() else 120, highlight=False, quiet=as_json)
     who = backend(backend_name, firmware, launch)

@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from pydantic import BaseModel, ValidationError
 
-from bridge.wire.faults import Faults
+from bridge.wire.link_faults import Faults
 from cablequad.control.design import Design, DesignError, Weights, continuous_law, sampled_law
-from cablequad.control.estimate import Filter, Observer, observer
+from cablequad.control.estimator import Filter, Observer, observer
 from cablequad.control.trajectory import Limits, Trajectory, along, at, circle, joined, leg, lemniscate, waypoints
 from cablequad.model import lie
 from cablequad.model.attitude import Airframe
@@ -23,8 +23,8 @@ from cablequad.model.state import State
 from cablequad.model.stiffness import STABLE, stable_substep
 from cablequad.model.system import Cable, Payload, Quadrotor, System, box_inertia
 from missions.scenario.course import SETTLE_S, CourseError, course_from, course_of
-from missions.scenario.layout import airborne, around, lay_out
 from missions.scenario.script import ScriptError, read_script, scenario_of, script_from
+from missions.scenario.surroundings import airborne, around, lay_out
 from missions.scenario.tables import FaultTable, OneVehicleTable, Scenario, TargetTable
 from sitl.firmware.parameters import arducopter_parameters, px4_parameters
 from sitl.plant import Surroundings

@@ -6,14 +6,14 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from bridge.fleet.fleet import Fleet
-from bridge.loop.observe import Instant, Loop, Observer
-from bridge.mission.crew import expanded
+from bridge.loop.state_assembly import Instant, Loop, Observer
+from bridge.mission.fleet_subset import expanded
 from bridge.mission.mission import UNSUPPORTED, Mission
+from bridge.mission.observation import Sight
 from bridge.mission.phases import FLY, LOADED, PREPARE
-from bridge.mission.sight import Sight
 from bridge.wire.values import CableShape, VehiclePosition
+from cablequad.control.control_step import Measurement, Sample, first_memory, tick
 from cablequad.control.design import Design
-from cablequad.control.pilot import Measurement, Sample, first_memory, tick
 from cablequad.control.trajectory import Reference
 from cablequad.model.attitude import Airframe
 from cablequad.model.state import positions

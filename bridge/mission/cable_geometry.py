@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cablequad.control.control_step import Sample
 from cablequad.control.design import Design
-from cablequad.control.pilot import Sample
 from cablequad.model.state import State
 from cablequad.model.system import System
 from cablequad.types import Array

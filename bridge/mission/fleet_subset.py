@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from cablequad.control.control_step import Memory, Sample, first_memory
 from cablequad.control.design import Design
-from cablequad.control.estimate import Filter
-from cablequad.control.pilot import Memory, Sample, first_memory
+from cablequad.control.estimator import Filter
 from cablequad.model.attitude import Airframe
 from cablequad.model.state import Error, State
 from cablequad.model.system import System, without

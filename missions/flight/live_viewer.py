@@ -5,7 +5,7 @@ import os
 import signal
 from pathlib import Path
 
-from missions.flight.children import begin
+from missions.flight.child_process import begin
 
 
 def _child(part: Path, parent: int) -> None:

@@ -1,7 +1,7 @@
 """When a tick has come: every source that lives has spoken of it, or has let a later one begin."""
 
 from bridge.wire.values import PayloadState, VehicleAttitude, VehiclePosition
-from cablequad.control.estimate import Sensing
+from cablequad.control.estimator import Sensing
 
 AWAITED = 5  # periods that a silent source is waited for
 REBOOT_MS = 1000  # a clock that goes back by more has begun anew

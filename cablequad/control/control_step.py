@@ -5,12 +5,12 @@ from typing import NamedTuple
 import numpy as np
 
 from cablequad._jit import jit
+from cablequad.boxed import Held, hold
 from cablequad.control.design import Authority, Calm, Design
 from cablequad.control.formation import Formation, formation
 from cablequad.control.geometric import attitude_of_force
 from cablequad.control.trajectory import Reference
-from cablequad.control.turned import about_down, turned, turned_frames, turned_reference, turned_state
-from cablequad.held import Held, hold
+from cablequad.control.yaw_frame import about_down, turned, turned_frames, turned_reference, turned_state
 from cablequad.model import lie
 from cablequad.model.attitude import Setpoint, fly
 from cablequad.model.dynamics import Accelerations, evaluate, workspace

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from cablequad.control.pilot import Memory, Sample
+from cablequad.control.control_step import Memory, Sample
 from cablequad.control.trajectory import Reference
 from cablequad.model.instant import Motion, Shapes, motion_of, motion_shapes, split
 from cablequad.model.state import Error, State
