@@ -20,7 +20,7 @@ from rich.table import Table
 
 from benchmarks.peer import apply_forces, model_of, set_state
 from cablequad._jit import jit
-from cablequad.analysis.rollout import Timing, rollout
+from cablequad.analysis.rollout import LoopTiming, rollout
 from cablequad.control.design import Weights, continuous_law
 from cablequad.control.trajectory import Reference
 from cablequad.model import lie
@@ -35,7 +35,7 @@ from cablequad.model.dynamics import (
     energy,
     kinetic_energy,
 )
-from cablequad.model.integrate import Command, Scratch, _finish, _stage, advance, scratch
+from cablequad.model.integrate import RotorOutput, Scratch, _finish, _stage, advance, scratch
 from cablequad.model.state import State, positions
 from cablequad.model.system import Cable, Payload, Quadrotor, System
 from missions.analysis.batch import spread
@@ -104,10 +104,10 @@ def swinging(system: System) -> State:
     return state._replace(q=q, omega=omega, R0=lie.exp(np.array([0.05, -0.1, 0.2])))
 
 
-def hover(system: System) -> Command:
+def hover(system: System) -> RotorOutput:
     """Equilibrium thrust, no moment."""
     n = len(system.m)
-    return Command((system.M_iT + system.m0 / n) * system.g, np.zeros((n, 3)))
+    return RotorOutput((system.M_iT + system.m0 / n) * system.g, np.zeros((n, 3)))
 
 
 def best(run: Callable[[], object], per: int, repeats: int = 5) -> float:
@@ -227,7 +227,7 @@ def _flights(count: int) -> None:
     target = Reference(np.array([0.44, 0.78, -0.5]), np.zeros(3))
     for _ in range(count):
         for _ in rollout(
-            design, airframe, lambda _: target, State.hanging(system, (1.0, 4.8, 0.0)), Timing(0.004, 4, 1), 2500
+            design, airframe, lambda _: target, State.hanging(system, (1.0, 4.8, 0.0)), LoopTiming(0.004, 4, 1), 2500
         ):
             pass
 
@@ -241,7 +241,7 @@ def flights() -> dict:
     start = State.hanging(system, (1.0, 4.8, 0.0))
 
     def one() -> None:
-        for _ in rollout(design, airframe, lambda _: target, start, Timing(0.004, 4, 1), 2500):
+        for _ in rollout(design, airframe, lambda _: target, start, LoopTiming(0.004, 4, 1), 2500):
             pass
 
     one()
@@ -307,7 +307,7 @@ def drift() -> dict:
     state = swinging(system)
     before = energy(system, state)
     scale = kinetic_energy(system, state) + system.M_T * system.g
-    idle = Command(np.zeros(4), np.zeros((4, 3)))
+    idle = RotorOutput(np.zeros(4), np.zeros((4, 3)))
     advance(system, state, idle, 1e-3, 60_000, scratch(system, state))
     fallen = kinetic_energy(system, state)
     change = abs(energy(system, state) - before)

@@ -1,6 +1,6 @@
 """What recording costs: `python -m benchmarks.record [--seconds 60] [--out FILE]`.
 
-Case 1 in real time at 250 Hz with everything recorded, truth at 250 Hz and at 1 kHz: share of a core that the scribe
+Case 1 in real time at 250 Hz with everything recorded, truth at 250 Hz and at 1 kHz: share of a core that the log
 takes, MB a minute, and what the control loop waits for handing things over. Beside it, in the same run, the same
 messages through the protobuf and mcap libraries' own objects, and how long a log takes to read and to convert.
 """
@@ -25,8 +25,8 @@ from logs.reading.records import entries
 from logs.schema import cablequad_pb2 as pb
 from logs.views import replay
 from logs.writing.recorder import CHUNK_BYTES
-from logs.writing.serialize import LogWriter, Waiting, serialized
-from missions.flight.recording.log_process import TOGETHER, Scribe
+from logs.writing.serialize import LogWriter, PendingMessages, serialized
+from missions.flight.recording.log_process import TOGETHER, LogProcess
 from missions.flight.run import Options, Progress, run
 from missions.scenario import loading as scenarios
 
@@ -43,11 +43,11 @@ def recorded(truth_hz: int, seconds: float, folder: Path) -> dict[str, Any]:
     path = folder / f"truth-{truth_hz}.toml"
     path.write_text(scenarios.text("paper-case-1") + f"\n[record]\ntruth_rate_hz = {truth_hz}\n")
     waits: list[float] = []
-    scribes: list[Scribe] = []
+    scribes: list[LogProcess] = []
     samples: list[tuple[float, float]] = []
 
     def timed(call: Callable[..., None]) -> Callable[..., None]:
-        def wrapped(self: Scribe, *a: Any) -> None:
+        def wrapped(self: LogProcess, *a: Any) -> None:
             if self not in scribes:
                 scribes.append(self)
             begun = time.perf_counter()
@@ -57,7 +57,7 @@ def recorded(truth_hz: int, seconds: float, folder: Path) -> dict[str, Any]:
         return wrapped
 
     names = ("received", "sent", "decided", "perf")
-    originals = {name: getattr(Scribe, name) for name in names}
+    originals = {name: getattr(LogProcess, name) for name in names}
     stop = threading.Event()
 
     def watch() -> None:
@@ -69,7 +69,7 @@ def recorded(truth_hz: int, seconds: float, folder: Path) -> dict[str, Any]:
                     return
 
     for name, call in originals.items():
-        setattr(Scribe, name, timed(call))
+        setattr(LogProcess, name, timed(call))
     watcher = threading.Thread(target=watch, daemon=True)
     watcher.start()
     try:
@@ -78,7 +78,7 @@ def recorded(truth_hz: int, seconds: float, folder: Path) -> dict[str, Any]:
         stop.set()
         watcher.join()
         for name, call in originals.items():
-            setattr(Scribe, name, call)
+            setattr(LogProcess, name, call)
     log = Path(summary.log or "")
     begin = next(k for k, s in enumerate(samples) if s[0] > samples[0][0] + WARM_S)
     (t0, c0), (t1, c1) = samples[begin], samples[-2]
@@ -116,7 +116,7 @@ def libraries(log: Path) -> dict[str, float]:
             together = values[k : k + TOGETHER]
             columns = [(name, [row[f][1] for row in together]) for f, (name, _) in enumerate(together[0])]
             rows = serialized(pb.PlantState, len(together), columns)
-            waiting = Waiting()
+            waiting = PendingMessages()
             for j, data in enumerate(rows):
                 waiting.put("/x", k + j, data)
             writer.add_messages(waiting, {"/x": channel}, k)

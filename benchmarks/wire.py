@@ -22,7 +22,7 @@ from rich.table import Table
 
 from bridge.fleet.fleet import Fleet
 from bridge.loop import deciders as decide
-from bridge.loop.state_assembly import Observer
+from bridge.loop.state_assembly import StateAssembler
 from bridge.wire.dialect import mavlink
 from bridge.wire.frames import frame
 from bridge.wire.link import Link
@@ -32,7 +32,7 @@ from cablequad.model import lie
 from cablequad.model.instant import row
 from cablequad.model.state import State
 from missions.flight import simulate
-from missions.flight.recording.log_process import Scribe
+from missions.flight.recording.log_process import LogProcess
 from missions.flight.run import Options, Progress, run
 from missions.scenario import loading as scenarios
 from sitl.firmware.autopilot import Autopilot, Body, LinkKind
@@ -52,7 +52,7 @@ HOT: list[Any] = [
 ]
 
 
-FOUR_CABLES, SENDERS = LoadReport(np.full(4, 5)), bytes(5)  # whose sheet holds the load's ODOMETRY as well
+FOUR_CABLES, SENDERS = LoadReport(np.full(4, 5)), bytes(5)  # whose batch holds the load's ODOMETRY as well
 STILL, LINKS = np.zeros((4, 3)), np.tile(V, (4, 5, 1))
 MOVING = row(State(V, V, R, V, LINKS, LINKS, np.tile(R, (4, 1, 1)), STILL), STILL, STILL, np.ones((4, 5)), np.ones(4))
 
@@ -148,17 +148,17 @@ BRIDGE = [
     (Link, "poll", "socket and wait"),
     (Link, "flush", "socket"),
     (Link, "_split", "codec"),
-    (Observer, "feed", "observe"),
-    (Observer, "estimate", "observe"),
-    (decide, "tick", "control"),
+    (StateAssembler, "feed", "observe"),
+    (StateAssembler, "estimate", "observe"),
+    (decide, "control_step", "control"),
     (Fleet, "setpoints", "codec"),
     (Fleet, "due", "protocol"),
     (Fleet, "feed", "protocol"),
     (Link, "put", "codec"),
     (Link, "put_all", "codec"),
-    (Scribe, "received", "record"),
-    (Scribe, "sent", "record"),
-    (Scribe, "decided", "record"),
+    (LogProcess, "received", "record"),
+    (LogProcess, "sent", "record"),
+    (LogProcess, "decided", "record"),
 ]
 VEHICLES = [
     (Link, "poll", "socket and wait"), (Link, "flush", "socket"), (Link, "_split", "codec"), (Link, "put", "codec"),

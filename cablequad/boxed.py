@@ -10,27 +10,27 @@ from cablequad._jit import config, jit
 T = TypeVar("T")
 
 
-class Held(structref.StructRefProxy, Generic[T]):
-    """Holds one `value`, a tuple of arrays; made by `hold`. Arrays are shared with whoever made them."""
+class Boxed(structref.StructRefProxy, Generic[T]):
+    """Holds one `value`, a tuple of arrays; made by `box`. Arrays are shared with whoever made them."""
 
     value: T
 
-    def __new__(cls, value: T) -> "Held[T]":
-        made: Held[T] = structref.StructRefProxy.__new__(cls, value)  # type: ignore[no-untyped-call]
+    def __new__(cls, value: T) -> "Boxed[T]":
+        made: Boxed[T] = structref.StructRefProxy.__new__(cls, value)  # type: ignore[no-untyped-call]
         return made
 
 
 @structref.register
-class _HeldType(types.StructRef):
+class _BoxedType(types.StructRef):
     """Its type in compiled code, where `.value` reads it."""
 
 
-structref.define_proxy(Held, _HeldType, ["value"])  # type: ignore[no-untyped-call]
+structref.define_proxy(Boxed, _BoxedType, ["value"])  # type: ignore[no-untyped-call]
 
 
 @jit
 def _made(value: Any) -> Any:
-    return Held(value)
+    return Boxed(value)
 
 
 class _Plain(Generic[T]):
@@ -38,8 +38,8 @@ class _Plain(Generic[T]):
         self.value = value
 
 
-def hold(value: T) -> Held[T]:
-    """`value`, held. Compiled code takes it as an argument of its own and reads `.value`."""
+def box(value: T) -> Boxed[T]:
+    """`value`, boxed. Compiled code takes it as an argument of its own and reads `.value`."""
     made: Any = _Plain(value) if config.DISABLE_JIT else _made(value)
-    out: Held[T] = made
+    out: Boxed[T] = made
     return out

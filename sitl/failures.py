@@ -7,7 +7,7 @@ import numpy as np
 
 from cablequad.types import Array
 from sitl.firmware.autopilot import Autopilot
-from sitl.plant import LoosePlant, Plant
+from sitl.plant import Plant, UntetheredPlant
 
 ASTRAY_M_S2 = 0.3  # how fast a position that nothing corrects runs away
 EMPTY_THRUST = 0.3  # of its thrust that a vehicle with an empty battery has
@@ -27,7 +27,7 @@ class Failure(NamedTuple):
     sag: float = 0.15  # of the thrust
 
 
-class Broken:
+class ActiveFailures:
     """What is broken by now, and what that does to vehicles and plant at every tick."""
 
     def __init__(self, failures: tuple[Failure, ...], n: int) -> None:
@@ -38,28 +38,28 @@ class Broken:
         self._hooks_open: set[int] = set()
 
     def act(
-        self, now: int, released_us: int | None, plant: Plant | LoosePlant, vehicles: list[Autopilot]
+        self, now: int, released_us: int | None, plant: Plant | UntetheredPlant, vehicles: list[Autopilot]
     ) -> list[tuple[str, str]]:
         """Break what is due; (subject, text) of each."""
-        told: list[tuple[str, str]] = []
-        if isinstance(plant, LoosePlant):
-            return told
+        events: list[tuple[str, str]] = []
+        if isinstance(plant, UntetheredPlant):
+            return events
         while self._coming and released_us is not None and now - released_us >= self._coming[0].at_us:
-            told.append(self._break(self._coming.pop(0), now, plant, vehicles))
+            events.append(self._break(self._coming.pop(0), now, plant, vehicles))
         for i, vehicle in enumerate(vehicles):
             for kind, rotor in vehicle.injected:
-                told.append(self._break(Failure(0, kind, i, rotor, lasts_us=2**50), now, plant, vehicles))
+                events.append(self._break(Failure(0, kind, i, rotor, lasts_us=2**50), now, plant, vehicles))
             vehicle.injected.clear()
             if vehicle.hook_open and i not in self._hooks_open:
                 self._hooks_open.add(i)
                 off = plant.cut(i)
-                told.append(
+                events.append(
                     (f"vehicle {i + 1}", "lets go of its cable" if off else "its hook opens; nothing hangs on it")
                 )
         for i, (since, f) in self._drains.items():
             self.battery[i] = max(0.0, f.remaining * (1.0 - (now - since) / f.lasts_us))
             plant.weaken(i, (1.0 - f.sag) if self.battery[i] > 0.0 else EMPTY_THRUST)
-        return told
+        return events
 
     def astray(self, i: int, now: int) -> Array | None:
         """(3,) m: how far off vehicle i takes itself to be; None while it knows."""

@@ -27,7 +27,7 @@ class Grades(NamedTuple):
     fix_delay_us: int = 0  # how old what it tells is
 
 
-class Reading(NamedTuple):
+class SensorReading(NamedTuple):
     """What everything but GPS reads at an instant."""
 
     acceleration: Array  # (3,) m/s^2, B
@@ -75,9 +75,9 @@ class Instruments:
         """At an altitude above sea level, in the standard atmosphere."""
         return float(pressure_hPa(altitude_m) + self._pressure + self._g.pressure * self._rng.normal())
 
-    def reading(self, specific_force: Array, Omega: Array, R: Array, altitude_m: float) -> Reading:
+    def reading(self, specific_force: Array, Omega: Array, R: Array, altitude_m: float) -> SensorReading:
         """Everything but GPS."""
-        return Reading(
+        return SensorReading(
             self.acceleration(specific_force), self.rate(Omega), self.field_gauss(R), self.pressure_hPa(altitude_m)
         )  # fmt: skip
 

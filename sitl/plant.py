@@ -6,11 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cablequad.boxed import hold
+from cablequad.boxed import box
 from cablequad.environment.air import Air
 from cablequad.environment.ground import Ground, ground, standing
 from cablequad.environment.rotors import Rotors
-from cablequad.environment.untethered import fly_loose
+from cablequad.environment.untethered import fly_untethered
 from cablequad.environment.world import (
     AIR,
     DRIVEN,
@@ -20,12 +20,12 @@ from cablequad.environment.world import (
     World,
     fly_alone,
     fly_in,
-    seen,
+    observe,
     turn_on_stands,
 )
 from cablequad.model.attitude import Airframe, Setpoint
-from cablequad.model.instant import Motion, Shapes, felt, motion_of, motion_shapes, places, row
-from cablequad.model.integrate import Command, Scratch, scratch
+from cablequad.model.instant import Motion, Shapes, motion_of, motion_shapes, places, row, specific_force
+from cablequad.model.integrate import RotorOutput, Scratch, scratch
 from cablequad.model.state import State, positions
 from cablequad.model.system import System, cut_off, without
 from cablequad.types import Array
@@ -51,14 +51,14 @@ class Surroundings(NamedTuple):
     feet: Array = np.zeros((0, 3))  # (4, 3) m, of a vehicle
     downwash: float = 0.0
     airborne: bool = False  # held in the air at first, over the ground
-    driven: bool = False  # flight controllers drive every rotor by itself; held vehicles are free to turn
+    driven: bool = False  # flight controllers drive every rotor by itself; restrained vehicles are free to turn
 
 
 class Truth(NamedTuple):
     """The whole state at one instant, for the recorder alone."""
 
     boot_us: int
-    held: bool
+    restrained: bool
     row: Array  # of `cablequad.model.instant`, its own
     shapes: Shapes  # of what is in it
 
@@ -94,27 +94,27 @@ class _Part:
         self.whole = members == list(range(len(airframe.max_thrust)))
         self.airframe = Airframe(*(field[members].copy() for field in airframe))
         self.rotor_thrust = rotor_thrust[members].copy()
-        self.command = Command(np.zeros(len(members)), np.zeros((len(members), 3)))
+        self.command = RotorOutput(np.zeros(len(members)), np.zeros((len(members), 3)))
         self.work: Scratch = scratch(system, state)
         whole = Whole(system, self.airframe, state, world, self.rotor_thrust, self.command, self.work)
-        self.held = hold(whole)
+        self.boxed = box(whole)
         self.shapes = motion_shapes(*system.length.shape)
-        self.seen: Array | None = None  # what there is to `look` at since the last move
+        self.observed: Array | None = None  # what there is to `look` at since the last move
 
     def move(self, setpoint: Setpoint, h: float, steps: int, wind: Array | None) -> Array:
         """Go on under the members' part of `setpoint`; the instant that comes then, as `look` gives it."""
         own = setpoint if self.whole else setpoint.of(self.members)
         if wind is None:
-            self.seen = fly_alone(self.held, own, h, steps)
+            self.observed = fly_alone(self.boxed, own, h, steps)
         else:
-            self.seen = fly_in(self.held, own, h, wind)
-        return self.seen
+            self.observed = fly_in(self.boxed, own, h, wind)
+        return self.observed
 
     def look(self, thrust: Array) -> Array:
         """This instant as an `instant.row`, with `thrust` (members,) N."""
-        if self.seen is None:
-            self.seen = seen(self.system, self.state, thrust, self.work)
-        return self.seen
+        if self.observed is None:
+            self.observed = observe(self.system, self.state, thrust, self.work)
+        return self.observed
 
 
 class Plant:
@@ -154,7 +154,7 @@ class Plant:
         n = len(self.system.m)
         self.command([Actuation(self.state.R[i], np.zeros(3), 0.0, False) for i in range(n)])
         if self.around.driven:
-            self.held = True
+            self.restrained = True
             self.advance(1)
         still = None if self._plain else np.zeros((1, 3))
         self._parts[0].move(self._setpoint, self.h, 1, still)
@@ -165,7 +165,7 @@ class Plant:
         """Back to the initial state, held where there is no ground."""
         n = len(self.system.m)
         self.around = self._around
-        self.held = not self.grounded or self.around.airborne
+        self.restrained = not self.grounded or self.around.airborne
         self.thrust = np.zeros(n)
         self._rotor_thrust = np.zeros((n, 4))
         state = self.initial.copy()
@@ -217,7 +217,7 @@ class Plant:
 
     def standing(self) -> list[bool]:
         """Who stands on something, as a land detector says it: feet on the ground and little thrust for a while."""
-        return list(self._standing) if self.grounded and not self.held else [self.held] * len(self.system.m)
+        return list(self._standing) if self.grounded and not self.restrained else [self.restrained] * len(self.system.m)
 
     def command(self, actuation: Sequence[Actuation]) -> None:
         """What acts from now on."""
@@ -225,7 +225,7 @@ class Plant:
         if self._plain:
             self.thrust = self._setpoint.thrust
             for part in self._parts:
-                part.seen = None
+                part.observed = None
 
     def drive(self, asked: Array) -> None:
         """What every rotor is asked for from now on, (n, 4) N, where flight controllers drive them (`driven`)."""
@@ -235,11 +235,11 @@ class Plant:
 
     def advance(self, steps: int) -> None:
         """`steps` physics steps under what was commanded. Raises PhysicsError when the state is no longer finite."""
-        if self.held:
+        if self.restrained:
             if self.around.driven:
                 whole = self._parts[0]
-                turn_on_stands(whole.held, self.h, steps)
-                self.thrust, whole.seen = whole.command.thrust.copy(), None
+                turn_on_stands(whole.boxed, self.h, steps)
+                self.thrust, whole.observed = whole.command.thrust.copy(), None
             return
         wind = self._air(steps)
         for part in self._parts:
@@ -372,7 +372,7 @@ class Plant:
 
     def truth(self, boot_us: int) -> Truth:
         """Everything, at this instant."""
-        return Truth(boot_us, self.held, self._look(), self._shapes)
+        return Truth(boot_us, self.restrained, self._look(), self._shapes)
 
     def _look(self) -> Array:
         if not self._apart and not self._shifted:
@@ -386,12 +386,12 @@ class Plant:
         return row(self.state, x, v, tension, self.thrust)
 
     def specific_force(self, truth: Truth) -> Array:
-        """(n, 3) m/s^2, body frames: what each vehicle's accelerometer reads; the support carries it while held."""
+        """(n, 3) m/s^2, body frames: what each accelerometer reads; the support carries vehicles while restrained."""
         n, L = self.system.length.shape
         pushed = np.empty((n, 3))
         for part in self._parts:
             pushed[part.members] = part.work.on_vehicles
-        return felt(truth.row, L, self.system.m, self.system.g, pushed, truth.held)
+        return specific_force(truth.row, L, self.system.m, self.system.g, pushed, truth.restrained)
 
 
 def _instant(airframe: Airframe) -> Rotors:
@@ -400,14 +400,14 @@ def _instant(airframe: Airframe) -> Rotors:
     return Rotors(np.full(n, ARM_M), np.full(n, DRAG_M), np.zeros(n), airframe.max_thrust / 4.0, np.ones((n, 4)))
 
 
-class LoosePlant:
+class UntetheredPlant:
     """n vehicles by themselves on level ground at z = 0: a fleet for ground stations and scripts, without a load."""
 
     def __init__(self, system: System, airframe: Airframe, initial: State, h: float) -> None:
         self.system, self.airframe, self.h = system, airframe, h
         self._places = positions(system, initial)[:, 0]
         self._places[:, 2] = 0.0
-        self.held = False
+        self.restrained = False
         self.thrust = np.zeros(len(system.m))
         self.reset()
         self.command([Actuation(np.eye(3), np.zeros(3), 0.0, False) for _ in system.m])
@@ -443,7 +443,7 @@ class LoosePlant:
     def advance(self, steps: int) -> None:
         """`steps` physics steps under what was commanded."""
         self.R, self.Omega = self.R.copy(), self.Omega.copy()  # what was handed out stays as it was
-        self._standing = fly_loose(
+        self._standing = fly_untethered(
             self.system.m, self.system.g, self.airframe, self._setpoint, self.x, self.v, self.R, self.Omega, 0.0,
             self.h, steps,
         )  # fmt: skip

@@ -19,14 +19,14 @@ from cablequad.types import Array
 from sitl import tracker
 from sitl.addresses import places, tracker_endpoints
 from sitl.batteries import Batteries
-from sitl.failures import Broken
+from sitl.failures import ActiveFailures
 from sitl.firmware.arducopter import ArduCopter
 from sitl.firmware.attitude_batch import Attitudes
 from sitl.firmware.autopilot import ATTITUDE_QUATERNION, HIGHRES_IMU, Autopilot, Body
 from sitl.firmware.navigate import attitude
 from sitl.firmware.px4 import Px4
 from sitl.firmware.telemetry import BUILD, Snapshot
-from sitl.plant import LoosePlant, Plant, Truth
+from sitl.plant import Plant, Truth, UntetheredPlant
 from sitl.settings import Event, Report, Settings, Sink, plant_of, sensors_of, unread_frames
 
 CONTROLLER = (250, 191)  # whose setpoints may hold the clock
@@ -51,7 +51,7 @@ class Server:
         self.link.reliable = s.lockstep and s.await_controller
         ports = (len(self._places), len(self._places) + 1)
         self._tracker = tracker.Tracker(self.link, ports, s.system.n_links, s.control_us)
-        self.plant = LoosePlant(s.system, s.airframe, s.initial, s.physics_us * 1e-6) if s.loose else plant_of(s)
+        self.plant = UntetheredPlant(s.system, s.airframe, s.initial, s.physics_us * 1e-6) if s.loose else plant_of(s)
         self._sensors = sensors_of(s)
         self._batteries = Batteries(s.batteries, s.system.m * s.system.g)
         self._ports = [[k for k, p in enumerate(self._places) if p.vehicle in (i, None)] for i in range(n)]
@@ -66,7 +66,7 @@ class Server:
         ] or [None] * n
         self._sink = sink
         self._mishandled = Mishandled()
-        self._broken = Broken(s.failures, n)
+        self._broken = ActiveFailures(s.failures, n)
         self._tick = 0
         self._inbox: list[list[tuple[int, Received]]] = [[] for _ in range(self.n)]
         self._engaged = [s.lockstep and s.await_controller] * self.n
@@ -182,11 +182,11 @@ class Server:
         x, v = self.plant.kinematics()
         R, Omega = self.plant.attitudes
         self._truth = self.plant.truth(now) if isinstance(self.plant, Plant) else None
-        felt = any(vehicle.will_tell(HIGHRES_IMU, now) for vehicle in self.vehicles)
+        with_imu = any(vehicle.will_tell(HIGHRES_IMU, now) for vehicle in self.vehicles)
         force: Sequence[Array] = [NO_FORCE] * self.n
-        if felt and isinstance(self.plant, LoosePlant):
+        if with_imu and isinstance(self.plant, UntetheredPlant):
             force = list(self.plant.specific_force())
-        elif felt:
+        elif with_imu:
             assert self._truth is not None
             assert isinstance(self.plant, Plant)
             force = list(self.plant.specific_force(self._truth))
@@ -195,7 +195,7 @@ class Server:
         for i, vehicle in enumerate(self.vehicles):
             own = self._self_image(i, vehicle.snapshot(now, R[i], Omega[i], x[i], v[i], force[i], home))
             self._own.append(own)
-            self._speak(i, vehicle, self._sensors.vehicle(i, own, felt))
+            self._speak(i, vehicle, self._sensors.vehicle(i, own, with_imu))
         if self._closing:
             self._close(now)
         if self._truth is not None:
@@ -232,11 +232,11 @@ class Server:
     def _settle(self, now: int) -> None:
         """Release, land, go back to the start. A release is told with the state that it begins from."""
         plant = self.plant
-        if plant.held and self._releasing:
-            plant.held = self._releasing = False
+        if plant.restrained and self._releasing:
+            plant.restrained = self._releasing = False
             self._sink(Event(now, "release", "all", "every vehicle is armed and under command: released"))
             self._released(now)
-        elif plant.held:
+        elif plant.restrained:
             self._releasing = all(v.carries(now) for v in self.vehicles)
         elif isinstance(plant, Plant) and plant.grounded:
             self._begin_on_ground(now)

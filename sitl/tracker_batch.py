@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from bridge.wire.batches import Sheet, put_load
+from bridge.wire.batches import Batch, put_load
 from bridge.wire.messages import LINKS_PER_FRAME, encode
 from bridge.wire.values import CableShape, PayloadState
 from cablequad.types import Array, Counts
 
 
-class LoadReport(Sheet):
+class LoadReport(Batch):
     """CABLE_STATE of n cables, ten links a message, cable by cable; then ODOMETRY of the load, which closes a tick."""
 
     def __init__(self, n_links: Counts) -> None:

@@ -48,7 +48,7 @@ def vehicles(firmware: str, offset: int) -> set[tuple[str, Any]]:
             server._inbox[i].append((server.now_us, frame))
             if tick == 20:
                 vehicle.leave("LAND")
-        server.plant.held = False
+        server.plant.restrained = False
         server._one_tick()
     after = used()
     server.close()

@@ -23,7 +23,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as mav
 
-from bridge.loop.time_sync import Relation
+from bridge.loop.time_sync import TimeSync
 from bridge.wire.values import Origin, Timesync, VehicleAttitude, VehiclePosition
 from cablequad.model import lie
 from cablequad.model.earth import Home
@@ -303,7 +303,7 @@ def test_arducopters_curve_makes_a_throttle_its_share_of_the_greatest_thrust() -
 
 
 def test_a_vehicles_clock_is_found_by_timesync_and_one_like_the_trackers_is_taken_for_it() -> None:
-    relation = Relation(2, 200, asks=True)
+    relation = TimeSync(2, 200, asks=True)
     attitude = VehicleAttitude.of(5000, np.eye(3), np.zeros(3))
     assert relation.mapped(1, attitude) is None  # nobody knows yet when that was
     rng, now = np.random.default_rng(0), 100.0
@@ -321,7 +321,7 @@ def test_a_vehicles_clock_is_found_by_timesync_and_one_like_the_trackers_is_take
 
 
 def test_a_vehicle_whose_origin_is_where_it_stood_is_put_into_the_trackers_frame() -> None:
-    relation = Relation(1, 200, asks=False)
+    relation = TimeSync(1, 200, asks=False)
     here = VehiclePosition(0, np.array([1.0, 2.0, -3.0]), np.zeros(3))
     relation.learn(1, Origin(MARK[0], MARK[1], MARK[2]))
     assert relation.mapped(1, here) is here
@@ -350,7 +350,7 @@ def test_on_its_stand_a_vehicle_turns_by_its_rotors_alone_and_stays_where_it_is(
     assert math.acos(R[0, 2, 2]) == pytest.approx(0.5 * expected * 0.1, rel=1e-6)
     assert (Omega[1:] == 0.0).all()
     assert (plant.kinematics()[0] == x).all()
-    plant.held = False
+    plant.restrained = False
     plant.advance(1)
     assert (plant.kinematics()[0] != x).any()
 

@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from cablequad.analysis.rollout import Timing, rollout
+from cablequad.analysis.rollout import LoopTiming, rollout
 from cablequad.control.trajectory import at
 from missions.scenario import loading as scenario
 
@@ -15,7 +15,7 @@ def case_2() -> list:
     flight = scenario.load("paper-case-2")
     design = scenario.design(flight)
     plan = flight.trajectory
-    return list(rollout(design, flight.airframe, lambda t: at(plan, t), flight.initial, Timing(0.004, 4, 1), 1000))
+    return list(rollout(design, flight.airframe, lambda t: at(plan, t), flight.initial, LoopTiming(0.004, 4, 1), 1000))
 
 
 def test_thrust_does_not_answer_itself_tick_by_tick(case_2: list) -> None:

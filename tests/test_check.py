@@ -9,7 +9,7 @@ from conftest import cablequad
 
 from cablequad.analysis.certificate import AttitudeGains, attitude_gains, certify, higher_order_slope
 from cablequad.analysis.margins import margins, modes
-from cablequad.analysis.rollout import Timing, rollout
+from cablequad.analysis.rollout import LoopTiming, rollout
 from cablequad.control.design import HOVER_N, Weights, continuous_law, sampled_law
 from cablequad.control.geometric import AttitudeCommand, attitude_error, moment
 from cablequad.control.trajectory import Reference
@@ -121,7 +121,7 @@ class TestMisprintsOfTheProof:
         q = state.q.copy()
         q[3, 4] = [1.0, 0.0, 0.0]
         still = Reference(np.zeros(3), np.zeros(3))
-        sample = next(rollout(design, AIRFRAME, lambda _: still, state._replace(q=q), Timing(0.004, 4), 0))
+        sample = next(rollout(design, AIRFRAME, lambda _: still, state._replace(q=q), LoopTiming(0.004, 4), 0))
         assert sample.e_q == pytest.approx(np.sqrt(2.0))
 
 
@@ -191,7 +191,7 @@ def test_predicted_delay_margin_is_what_simulation_shows() -> None:
     start = State.hanging(PAPER, (0.05, 0.02, 0.0))
 
     def ringing(delay: int) -> float:
-        samples = list(rollout(design, AIRFRAME, lambda _: target, start, Timing(0.004, 4, delay), 4000))
+        samples = list(rollout(design, AIRFRAME, lambda _: target, start, LoopTiming(0.004, 4, delay), 4000))
         e_omega = np.array([s.e_omega for s in samples])
         return float(e_omega[-250:].max() / e_omega[1750:2000].max())
 

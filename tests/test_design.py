@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from conftest import irregular
 
-from cablequad.analysis.rollout import Timing, rollout
-from cablequad.control.control_step import Measurement, first_memory, tick
+from cablequad.analysis.rollout import LoopTiming, rollout
+from cablequad.control.control_step import Measurement, control_step, first_memory
 from cablequad.control.design import (
     Weights,
     continuous_law,
@@ -17,7 +17,7 @@ from cablequad.control.design import (
 )
 from cablequad.control.trajectory import Limits, Reference, at, leg
 from cablequad.model.attitude import Airframe, Setpoint, flown
-from cablequad.model.controllability import OUTPUTS, held_outputs, reach
+from cablequad.model.controllability import OUTPUTS, controllable, integrable_outputs
 from cablequad.model.state import State
 from cablequad.model.stiffness import stable_substep, stiffest_mode
 from cablequad.model.system import Cable, Payload, Quadrotor, System
@@ -70,12 +70,12 @@ def test_the_sampled_model_predicts_what_the_simulator_does() -> None:
 def test_one_vehicle_cannot_turn_its_load_and_the_design_leaves_that_out() -> None:
     load = Payload(0.5, (1e-2,) * 3, [(0.0, 0.0, -0.1)])
     one = System.of(load, [Quadrotor(0.755, (5.57e-3, 5.57e-3, 1.05e-2))], [Cable([0.01] * 3, [0.2] * 3)])
-    assert reach(one).missing == ("load yaw",)
-    assert [OUTPUTS[k] for k in held_outputs(one, reach(one))] == ["load x", "load y", "load z"]
+    assert controllable(one).missing == ("load yaw",)
+    assert [OUTPUTS[k] for k in integrable_outputs(one, controllable(one))] == ["load x", "load y", "load z"]
     design = sampled_law(one, airframe(1), Weights(), 0.004, 1)
     assert np.abs(design.K_x[:, 5]).max() < 1e-9
     target = leg((0.0, 0.0, 0.0), TARGET.x0, Limits())
-    flight = rollout(design, airframe(1), lambda t: at(target, t), State.hanging(one), Timing(0.004, 4, 1), 2000)
+    flight = rollout(design, airframe(1), lambda t: at(target, t), State.hanging(one), LoopTiming(0.004, 4, 1), 2000)
     last = list(flight)[-1]
     assert np.linalg.norm(last.error.x[:3]) < 0.01
 
@@ -86,7 +86,7 @@ def test_case_1_settles_and_its_links_stop_swinging(delay: int) -> None:
     design = sampled_law(PAPER, airframe(4), Weights(), 0.004, 1)
     start = State.hanging(PAPER, (1.0, 4.8, 0.0))
     way = leg(start.x0, TARGET.x0, Limits())
-    samples = list(rollout(design, airframe(4), lambda t: at(way, t), start, Timing(0.004, 4, delay), 2500))
+    samples = list(rollout(design, airframe(4), lambda t: at(way, t), start, LoopTiming(0.004, 4, delay), 2500))
     last = samples[-1]
     assert np.linalg.norm(last.error.x[:3]) < 0.02
     assert np.linalg.norm(last.state.v0) < 0.02
@@ -102,7 +102,7 @@ def test_a_system_of_unequal_cables_flies_with_the_same_weights() -> None:
     rho = np.array([(0.4, 0.1, -0.1), (-0.3, 0.3, -0.05), (-0.1, -0.4, -0.1)])
     assert np.array_equal(system.rho, rho)
     design = sampled_law(system, airframe(n), Weights(), 0.004, 1)
-    samples = list(rollout(design, airframe(n), lambda _: TARGET, State.hanging(system), Timing(0.004, 4, 1), 2500))
+    samples = list(rollout(design, airframe(n), lambda _: TARGET, State.hanging(system), LoopTiming(0.004, 4, 1), 2500))
     assert np.linalg.norm(samples[-1].error.x[:3]) < 0.02
 
 
@@ -110,10 +110,10 @@ def test_a_decision_depends_on_nothing_but_its_arguments() -> None:
     design = sampled_law(PAPER, airframe(4), Weights(), 0.004, 1)
     state = State.hanging(PAPER, (1.0, 4.8, 0.0))
     memory = first_memory(design)
-    _, a = tick(memory, Measurement(0.0, state), TARGET, design)
-    next_memory, _ = tick(memory, Measurement(0.0, state), TARGET, design)
-    tick(next_memory, Measurement(0.004, state), TARGET, design)
-    _, b = tick(memory, Measurement(0.0, state), TARGET, design)
+    _, a = control_step(memory, Measurement(0.0, state), TARGET, design)
+    next_memory, _ = control_step(memory, Measurement(0.0, state), TARGET, design)
+    control_step(next_memory, Measurement(0.004, state), TARGET, design)
+    _, b = control_step(memory, Measurement(0.0, state), TARGET, design)
     np.testing.assert_array_equal(a.A, b.A)
     np.testing.assert_array_equal(a.R_c, b.R_c)
 

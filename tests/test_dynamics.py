@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from cablequad.control.jerk import link_accelerations
 from cablequad.model import lie
 from cablequad.model.dynamics import accelerations, dense, energy, kinetic_energy, momentum
-from cablequad.model.integrate import Command, advance, scratch, step
+from cablequad.model.integrate import RotorOutput, advance, scratch, step
 from cablequad.model.state import State, positions, velocities
 from cablequad.model.system import System
 
@@ -46,7 +46,7 @@ def test_mechanical_power_equals_the_power_of_the_rotors(seed: int) -> None:
     system = random_system(rng, links=4)
     state = random_state(system, rng)
     n = len(system.m)
-    command = Command(rng.uniform(2, 12, n), 0.05 * rng.normal(size=(n, 3)))
+    command = RotorOutput(rng.uniform(2, 12, n), 0.05 * rng.normal(size=(n, 3)))
     h = 1e-5
     rate = (energy(system, step(system, state, command, h)) - energy(system, step(system, state, command, -h))) / (
         2 * h
@@ -64,7 +64,7 @@ def test_forces_change_linear_and_angular_momentum_as_newton_says(seed: int) -> 
     system = random_system(rng, links=4)
     state = random_state(system, rng)
     n = len(system.m)
-    command = Command(rng.uniform(2, 12, n), 0.05 * rng.normal(size=(n, 3)))
+    command = RotorOutput(rng.uniform(2, 12, n), 0.05 * rng.normal(size=(n, 3)))
     h = 1e-5
     before, after = (
         momentum(system, step(system, state, command, -h)),
@@ -96,7 +96,7 @@ def test_free_motion_keeps_energy_and_angular_momentum_for_ten_seconds(system: S
     omega[np.arange(L)[None, :] >= system.n_links[:, None]] = 0.0
     state = state._replace(omega=omega, Omega0=np.array([0.3, -0.2, 0.4]), Omega=0.5 * rng.normal(size=(n, 3)))
     system = system._replace(g=1e-12)  # without gravity every momentum is kept
-    idle = Command(np.zeros(n), np.zeros((n, 3)))
+    idle = RotorOutput(np.zeros(n), np.zeros((n, 3)))
     E, (p, H) = energy(system, state), momentum(system, state)
 
     def drift(steps: int) -> np.ndarray:
@@ -182,7 +182,7 @@ class TestMisprints:
         n = 4
         state = State.hanging(self.system)
         M = np.tile([0.01, -0.02, 0.005], (n, 1))
-        after = step(self.system, state, Command(np.zeros(n), M), 1e-3)
+        after = step(self.system, state, RotorOutput(np.zeros(n), M), 1e-3)
         np.testing.assert_allclose(after.Omega, 1e-3 * M @ np.linalg.inv(self.system.J[0]), rtol=1e-6, atol=1e-12)
 
     def test_kinetic_energys_second_form_needs_half_min_index_and_both_lengths(self) -> None:

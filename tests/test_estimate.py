@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from cablequad.analysis.rollout import Timing, rollout
+from cablequad.analysis.rollout import LoopTiming, rollout
 from cablequad.control.design import Weights, sampled_law
-from cablequad.control.estimator import corrected, first_belief, nothing_seen, observer, predicted
+from cablequad.control.estimator import corrected, estimator, first_belief, nothing_measured, predicted
 from cablequad.control.trajectory import Limits, at, leg
 from cablequad.model import lie
 from cablequad.model.attitude import Airframe, Setpoint
@@ -29,9 +29,9 @@ def airframe(n: int) -> Airframe:
 
 def test_what_the_vehicles_do_not_show_is_named() -> None:
     one, four = carried([(0.0, 0.0, -0.1)]), System.paper(1)
-    assert observer(one, airframe(1), 0.01, "vehicles", NOISE).hidden == ("load yaw",)
-    assert observer(one, airframe(1), 0.01, "fleet", NOISE).hidden == ()
-    assert observer(four, airframe(4), 0.01, "vehicles", NOISE).hidden == ()
+    assert estimator(one, airframe(1), 0.01, "vehicles", NOISE).hidden == ("load yaw",)
+    assert estimator(one, airframe(1), 0.01, "fleet", NOISE).hidden == ()
+    assert estimator(four, airframe(4), 0.01, "vehicles", NOISE).hidden == ()
 
 
 @pytest.mark.parametrize(("sensing", "limit_deg"), [("full", 1.0), ("fleet", 3.0), ("vehicles", 5.0)])
@@ -41,11 +41,11 @@ def test_links_are_estimated_from_noisy_measurements(sensing: str, limit_deg: fl
     air = airframe(4)
     design = sampled_law(system, air, Weights(), 0.01, 1)
     path = leg((0, 0, 0), (2, 1, -0.5), Limits())
-    filter = observer(system, air, 0.01, sensing, NOISE).filter  # type: ignore[arg-type]
+    filter = estimator(system, air, 0.01, sensing, NOISE).filter  # type: ignore[arg-type]
     belief, before, errors = None, None, []
-    for sample in rollout(design, air, lambda t: at(path, t), State.hanging(system), Timing(0.01, 10, 1), 500):
+    for sample in rollout(design, air, lambda t: at(path, t), State.hanging(system), LoopTiming(0.01, 10, 1), 500):
         s = sample.state
-        seen = nothing_seen(system)._replace(
+        seen = nothing_measured(system)._replace(
             x=positions(system, s)[:, 0] + NOISE.position * rng.normal(size=(4, 3)),
             v=velocities(system, s)[:, 0] + NOISE.velocity * rng.normal(size=(4, 3)),
             R=np.stack([R @ lie.exp(NOISE.attitude * rng.normal(size=3)) for R in s.R]),

@@ -9,8 +9,8 @@ from bridge.fleet.fleet import Fleet
 from bridge.fleet.profiles import PROFILES
 from bridge.fleet.thrust import ThrustScale, made_thrust_N
 from bridge.fleet.vehicle import Request, Stage
-from bridge.loop.state_assembly import Loop, Observer
-from bridge.loop.tick_barrier import Gate
+from bridge.loop.state_assembly import LoopModel, StateAssembler
+from bridge.loop.tick_barrier import TickBarrier
 from bridge.wire.values import (
     CableShape,
     Command,
@@ -285,7 +285,7 @@ def test_unheard_lists_vehicles_and_tracker() -> None:
 
 SYSTEM = System.paper(1)
 AIRFRAME = Airframe(np.full(4, 40.0), np.full(4, 0.9), np.full(4, 25.0))
-LOOP = Loop(SYSTEM, AIRFRAME, 4, 4, 0.001)
+LOOP = LoopModel(SYSTEM, AIRFRAME, 4, 4, 0.001)
 
 
 def parts(boot_ms: int, s: State) -> list[tuple[int, Any]]:
@@ -307,7 +307,7 @@ class TestObserver:
 
     def test_an_instant_is_complete_in_any_order(self) -> None:
         for seed in range(20):
-            observer = Observer(LOOP)
+            observer = StateAssembler(LOOP)
             said = self.at_rest(8, 1.5)
             for k in np.random.default_rng(seed).permutation(len(said)):
                 observer.feed(*said[k])
@@ -318,7 +318,7 @@ class TestObserver:
 
     @pytest.mark.parametrize("missing", range(0, 13))
     def test_before_everything_was_measured_once_there_is_no_state(self, missing: int) -> None:
-        observer = Observer(LOOP)
+        observer = StateAssembler(LOOP)
         said = self.at_rest(8)
         for k, part in enumerate(said):
             if k != missing:
@@ -327,7 +327,7 @@ class TestObserver:
         assert (observer.estimate(8) is not None) is only_a_check
 
     def test_foreign_cables_and_lengths_are_left_out(self) -> None:
-        observer = Observer(LOOP)
+        observer = StateAssembler(LOOP)
         for source, value in self.at_rest(8):
             if isinstance(value, CableShape) and value.cable == 2:
                 value = value._replace(n_links=6)
@@ -336,7 +336,7 @@ class TestObserver:
         assert observer.estimate(8) is None
 
     def test_a_clock_that_goes_back_starts_anew(self) -> None:
-        observer = Observer(LOOP)
+        observer = StateAssembler(LOOP)
         for ms in (100_000, 4):
             for part in self.at_rest(ms):
                 observer.feed(*part)
@@ -362,7 +362,7 @@ class TestObserver:
     def test_what_is_lost_is_predicted_by_the_model_exactly(self, lost: str) -> None:
         """With the true model and no noise, ten lost ticks cost nothing."""
         states, commands = self.flight(40)
-        observer = Observer(LOOP)
+        observer = StateAssembler(LOOP)
         observer.released()
         for k, state in enumerate(states):
             for source, value in parts(4 * k, state):
@@ -379,7 +379,7 @@ class TestObserver:
     @pytest.mark.parametrize("late", [1, 3, 9])
     def test_what_comes_late_is_put_where_it_belongs_and_carried_to_now(self, late: int) -> None:
         states, commands = self.flight(60)
-        observer = Observer(LOOP)
+        observer = StateAssembler(LOOP)
         observer.released()
         for k in range(60):
             for j, state in ((k - late, states[k - late]),) if k >= late else ():
@@ -394,7 +394,7 @@ class TestObserver:
                 np.testing.assert_allclose(instant.state.omega, states[k].omega, rtol=0, atol=1e-7)
 
     def test_before_the_release_nothing_moves(self) -> None:
-        observer = Observer(LOOP)
+        observer = StateAssembler(LOOP)
         for part in self.at_rest(4):
             observer.feed(*part)
         observer.estimate(4)
@@ -407,7 +407,7 @@ class TestObserver:
 class TestGate:
     """A tick has come when everybody who lives has spoken of it, or somebody has gone on."""
 
-    def say(self, gate: Gate, ms: int, sources: tuple[int, ...]) -> None:
+    def say(self, gate: TickBarrier, ms: int, sources: tuple[int, ...]) -> None:
         for source in sources:
             if source == 200:
                 gate.feed(200, PayloadState(ms * 1000, np.zeros(3), np.zeros(3), np.eye(3), np.zeros(3)))
@@ -415,7 +415,7 @@ class TestGate:
                 gate.feed(source, VehicleAttitude.of(ms, np.eye(3), np.zeros(3)))
 
     def test_it_opens_once_when_the_last_has_spoken(self) -> None:
-        gate = Gate(2, 200, 4)
+        gate = TickBarrier(2, 200, 4)
         self.say(gate, 4, (1, 200))
         assert gate.open() is None
         self.say(gate, 4, (2,))
@@ -423,7 +423,7 @@ class TestGate:
         assert gate.open() is None
 
     def test_it_opens_late_when_somebody_goes_on_and_no_longer_waits_for_who_is_silent(self) -> None:
-        gate = Gate(2, 200, 4)
+        gate = TickBarrier(2, 200, 4)
         self.say(gate, 4, (1, 2, 200))
         gate.open()
         told = []
@@ -435,7 +435,7 @@ class TestGate:
         assert told[-1] == (56, 56)  # and in time again, without vehicle 2
 
     def test_a_trackers_own_map_messages_close_nothing(self) -> None:
-        gate = Gate(1, 200, 4)
+        gate = TickBarrier(1, 200, 4)
         gate.feed(200, VehicleAttitude.of(4, np.eye(3), np.zeros(3)))
         self.say(gate, 4, (1,))
         assert gate.open() is None

@@ -19,7 +19,7 @@ from bridge.wire.dialect import mavlink
 from bridge.wire.link import Endpoint, Link
 from bridge.wire.ports import GROUND_PORT
 from bridge.wire.values import VehicleAttitude
-from cablequad.analysis.rollout import Timing, rollout
+from cablequad.analysis.rollout import LoopTiming, rollout
 from cablequad.control.trajectory import at
 from logs.reading.reader import read
 from logs.reading.records import entries
@@ -70,7 +70,7 @@ def test_it_agrees_with_the_offline_rollout_of_the_same_design(case_1: dict) -> 
     flight = scenario.load("paper-case-1")
     samples = rollout(
         scenario.design(flight), flight.airframe, lambda t: at(flight.trajectory, t), flight.initial,
-        Timing(0.004, 4, 1), 2500,
+        LoopTiming(0.004, 4, 1), 2500,
     )  # fmt: skip
     offline = np.array([s.state.x0 for s in samples])
     run = read(Path(case_1["log"]))

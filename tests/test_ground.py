@@ -12,7 +12,7 @@ from cablequad.environment.ground import (
     box_corners,
     deepest,
     ground,
-    nothing,
+    no_external_forces,
     press,
     standing,
     stored,
@@ -20,7 +20,7 @@ from cablequad.environment.ground import (
 from cablequad.environment.rotors import Rotors, spin
 from cablequad.model import lie
 from cablequad.model.dynamics import accelerations, energy
-from cablequad.model.integrate import Command, scratch
+from cablequad.model.integrate import RotorOutput, scratch
 from cablequad.model.state import State, positions, velocities
 from cablequad.model.system import System, cut_off, without
 from missions.analysis.replay_control import redecide
@@ -36,11 +36,11 @@ def floor(system: System, h: float = H) -> Ground:
 def dropped(system: System, state: State, seconds: float, h: float = H) -> tuple[State, np.ndarray, float]:
     """The end state, the whole energy (J) at every step, and the deepest penetration (m) of a fall with motors off."""
     state, g, n = state.copy(), floor(system, h), len(system.m)
-    still = Command(np.zeros(n), np.zeros((n, 3)))
+    still = RotorOutput(np.zeros(n), np.zeros((n, 3)))
     work = scratch(system, state)
     total, deep = [energy(system, state) + stored(system, state, g)], -np.inf
     for _ in range(round(seconds / h)):
-        advance_on(system, state, still, h, g, nothing(system), work)
+        advance_on(system, state, still, h, g, no_external_forces(system), work)
         total.append(energy(system, state) + stored(system, state, g))
         deep = max(deep, deepest(system, state, g))
     return state, np.array(total), deep
@@ -72,11 +72,11 @@ def test_a_cable_that_is_dropped_comes_to_lie_on_the_ground() -> None:
     s = State.hanging(system, (0.0, 0.0, -0.1)).copy()
     s.q[0] = lie.exp(np.array([1.4, 0.0, 0.0])) @ np.array([0.0, 0.0, 1.0])
     g = ground(system, 0.0, np.zeros((1, 3)), FEET, H)
-    still, work = Command(np.zeros(1), np.zeros((1, 3))), scratch(system, s)
+    still, work = RotorOutput(np.zeros(1), np.zeros((1, 3))), scratch(system, s)
     before = energy(system, s)
     highest = before
     for _ in range(4000):
-        advance_on(system, s, still, H, g, nothing(system), work)
+        advance_on(system, s, still, H, g, no_external_forces(system), work)
         now = energy(system, s) + stored(system, s, g)
         assert now < highest + 1e-4
         highest = min(highest, now)
@@ -92,10 +92,10 @@ def test_energy_lost_is_the_work_of_the_forces_from_the_ground() -> None:
     for i in range(4):
         s.q[i] = lie.exp(np.array([1.2, 0.3 * i, 0.0])) @ np.array([0.0, 0.0, 1.0])
     s, g, n = s.copy(), floor(system, h), len(system.m)
-    work, still = scratch(system, s), Command(np.zeros(n), np.zeros((n, 3)))
+    work, still = scratch(system, s), RotorOutput(np.zeros(n), np.zeros((n, 3)))
 
     def power() -> float:
-        pressed = Command(np.zeros(n), np.zeros((n, 3)))
+        pressed = RotorOutput(np.zeros(n), np.zeros((n, 3)))
         work.on_vehicles[:], work.work.on_payload[:], work.work.on_nodes[:], work.work.turning[:] = 0.0, 0.0, 0.0, 0.0
         press(system, s, g, still, pressed, work)
         v = velocities(system, s)
@@ -106,7 +106,7 @@ def test_energy_lost_is_the_work_of_the_forces_from_the_ground() -> None:
     first, done, largest = energy(system, s), 0.0, 0.0
     before = power()
     for _ in range(round(0.6 / h)):
-        advance_on(system, s, still, h, g, nothing(system), work)
+        advance_on(system, s, still, h, g, no_external_forces(system), work)
         after = power()
         done, before = done + 0.5 * h * (before + after), after
         largest = max(largest, abs(energy(system, s) - first))
@@ -138,9 +138,9 @@ def test_friction_holds_what_slides_and_stops_it() -> None:
     s = s._replace(v0=np.array([1.0, 0.0, 0.0]))
     s.q[0] = np.array([0.0, 1.0, 0.0])
     g = ground(system, 0.0, np.zeros((1, 3)), FEET, H)
-    still, work = Command(np.zeros(1), np.zeros((1, 3))), scratch(system, s)
+    still, work = RotorOutput(np.zeros(1), np.zeros((1, 3))), scratch(system, s)
     for _ in range(3000):
-        advance_on(system, s, still, H, g, nothing(system), work)
+        advance_on(system, s, still, H, g, no_external_forces(system), work)
     assert np.abs(s.v0).max() < 0.01
 
 
@@ -158,7 +158,7 @@ def rotors(n: int = 1, time: float = 0.0) -> Rotors:
 
 
 def test_rotors_give_what_is_asked_within_their_limits() -> None:
-    c = Command(np.array([10.0]), np.array([[0.1, -0.05, 0.02]]))
+    c = RotorOutput(np.array([10.0]), np.array([[0.1, -0.05, 0.02]]))
     asked = c.moment.copy()
     spin(rotors(), c, np.zeros((1, 4)), H)
     assert c.thrust == pytest.approx([10.0], abs=1e-12)
@@ -166,7 +166,7 @@ def test_rotors_give_what_is_asked_within_their_limits() -> None:
 
 
 def test_motors_that_stand_turn_nothing() -> None:
-    c = Command(np.array([0.0]), np.array([[0.1, -0.05, 0.02]]))
+    c = RotorOutput(np.array([0.0]), np.array([[0.1, -0.05, 0.02]]))
     spin(rotors(), c, np.zeros((1, 4)), H)
     assert np.abs(c.moment).max() == 0.0
 
@@ -174,7 +174,7 @@ def test_motors_that_stand_turn_nothing() -> None:
 def test_rotors_follow_with_their_time_constant() -> None:
     thrust, r = np.zeros((1, 4)), rotors(time=0.03)
     for _ in range(30):
-        c = Command(np.array([10.0]), np.zeros((1, 3)))
+        c = RotorOutput(np.array([10.0]), np.zeros((1, 3)))
         spin(r, c, thrust, H)
     assert c.thrust[0] == pytest.approx(10.0 * (1.0 - np.exp(-1.0)), rel=1e-9)
 
@@ -182,7 +182,7 @@ def test_rotors_follow_with_their_time_constant() -> None:
 def test_a_vehicle_without_one_rotor_cannot_hold_itself_level() -> None:
     r = rotors()
     r.works[0, 0] = 0.0
-    c = Command(np.array([8.0]), np.zeros((1, 3)))
+    c = RotorOutput(np.array([8.0]), np.zeros((1, 3)))
     spin(r, c, np.zeros((1, 4)), H)
     assert np.abs(c.moment).max() > 0.1
 

@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from cablequad.model import lie
 from cablequad.model.dynamics import accelerations
 from cablequad.model.instant import Motion, motion_of, motion_shapes, places, row
-from cablequad.model.integrate import Command, step
+from cablequad.model.integrate import RotorOutput, step
 from cablequad.model.state import State
 from cablequad.model.system import System
 
@@ -21,7 +21,7 @@ def distance(a: State, b: State) -> float:
     return max(float(np.abs(x - y).max()) for x, y in zip(a, b, strict=True))
 
 
-def run(system: System, state: State, command: Command, T: float, steps: int) -> State:
+def run(system: System, state: State, command: RotorOutput, T: float, steps: int) -> State:
     for _ in range(steps):
         state = step(system, state, command, T / steps)
     return state
@@ -31,7 +31,7 @@ def run(system: System, state: State, command: Command, T: float, steps: int) ->
 def test_halving_the_step_divides_the_error_by_sixteen(system: System, rng: np.random.Generator) -> None:
     n = len(system.m)
     state = random_state(system, rng)
-    command = Command(rng.uniform(4, 10, n), 0.01 * rng.normal(size=(n, 3)))
+    command = RotorOutput(rng.uniform(4, 10, n), 0.01 * rng.normal(size=(n, 3)))
     T, counts = 0.1, np.array([50, 100, 200, 400])
     reference = run(system, state, command, T, 6400)
     errors = [distance(run(system, state, command, T, int(k)), reference) for k in counts]
@@ -43,7 +43,7 @@ def test_halving_the_step_divides_the_error_by_sixteen(system: System, rng: np.r
 def test_ten_thousand_steps_leave_every_constraint_to_rounding(rng: np.random.Generator) -> None:
     system = System.paper(1)
     state = random_state(system, rng, rate=1.0)
-    command = Command(np.full(4, 9.0), 1e-4 * rng.normal(size=(4, 3)))
+    command = RotorOutput(np.full(4, 9.0), 1e-4 * rng.normal(size=(4, 3)))
     worst = 0.0
     for _ in range(10_000):
         state = step(system, state, command, 1e-3)
@@ -67,7 +67,7 @@ def test_an_adaptive_integrator_in_plain_coordinates_arrives_at_the_same_place(r
     omega[np.arange(L)[None, :] >= system.n_links[:, None]] = 0.0
     tilted = np.stack([lie.exp(0.2 * rng.normal(size=3)) for _ in range(n)])
     start = start._replace(omega=omega, R0=lie.exp(0.5 * rng.normal(size=3)), Omega0=rng.normal(size=3), R=tilted)
-    command = Command(np.array([7.0, 9.0, 12.0]), 1e-3 * rng.normal(size=(n, 3)))
+    command = RotorOutput(np.array([7.0, 9.0, 12.0]), 1e-3 * rng.normal(size=(n, 3)))
     shapes = [field.shape for field in start]
     ends = np.cumsum([int(np.prod(shape)) for shape in shapes])
 
@@ -95,7 +95,7 @@ def test_an_adaptive_integrator_in_plain_coordinates_arrives_at_the_same_place(r
 def test_padding_never_moves() -> None:
     system = irregular()
     state = random_state(system, np.random.default_rng(2))
-    after = run(system, state, Command(np.full(3, 9.0), np.zeros((3, 3))), 0.05, 50)
+    after = run(system, state, RotorOutput(np.full(3, 9.0), np.zeros((3, 3))), 0.05, 50)
     for i, k in enumerate(system.n_links):
         np.testing.assert_array_equal(after.q[i, k:], np.tile([0.0, 0.0, 1.0], (7 - k, 1)))
         np.testing.assert_array_equal(after.omega[i, k:], 0.0)
@@ -105,7 +105,7 @@ def test_a_step_leaves_its_arguments_alone() -> None:
     system = System.paper(1)
     state = random_state(system, np.random.default_rng(3))
     before = state.copy()
-    step(system, state, Command(np.full(4, 9.0), np.zeros((4, 3))), 1e-3)
+    step(system, state, RotorOutput(np.full(4, 9.0), np.zeros((4, 3))), 1e-3)
     assert distance(state, before) == 0.0
 
 
@@ -117,7 +117,7 @@ def test_a_step_allocates_nothing() -> None:
     system = irregular()
     state = random_state(system, np.random.default_rng(4))
     work = scratch(system, state)
-    command = Command(np.full(3, 9.0), np.zeros((3, 3)))
+    command = RotorOutput(np.full(3, 9.0), np.zeros((3, 3)))
     if NUMBA_OFF:
         pytest.skip("without the compiler there is nothing to count")
     advance(system, state, command, 1e-4, 1, work)
@@ -138,7 +138,7 @@ def test_a_state_of_integers_lists_and_views_moves_like_one_of_floats() -> None:
         [1, 2, 3], np.zeros(3, dtype=int), np.eye(3, dtype=int), np.zeros(6)[::2],  # type: ignore[arg-type]
         whole.q.astype(np.float32), np.asfortranarray(whole.omega), whole.R.tolist(), np.zeros((4, 3)),  # type: ignore[arg-type]
     )  # fmt: skip
-    plain, other = Command(np.full(4, 9.0), np.zeros((4, 3))), Command([9, 9, 9, 9], [[0, 0, 0]] * 4)  # type: ignore[arg-type]
+    plain, other = RotorOutput(np.full(4, 9.0), np.zeros((4, 3))), RotorOutput([9, 9, 9, 9], [[0, 0, 0]] * 4)  # type: ignore[arg-type]
     assert distance(step(system, whole, plain, 1e-3), step(system, odd, other, 1e-3)) == 0.0
     force = np.tile([0, 0, -9], (4, 1))
     a, b = accelerations(system, whole, force.astype(float)), accelerations(system, odd, force)

@@ -19,7 +19,7 @@ from bridge.mission.phases import FLY
 from bridge.wire.frames import frame
 from bridge.wire.messages import encode
 from bridge.wire.values import AttitudeTarget
-from cablequad.control.control_step import Measurement, Sample, first_memory, tick
+from cablequad.control.control_step import Measurement, Sample, control_step, first_memory
 from cablequad.control.design import Weights, sampled_law
 from cablequad.control.trajectory import Reference
 from cablequad.model.attitude import Airframe
@@ -35,7 +35,7 @@ from logs.views.motion import motion_of
 from logs.writing import recorder as recorders
 from logs.writing.encode import Model, single
 from logs.writing.recorder import Attachment, Decisions, Recorder, RecorderError
-from logs.writing.serialize import LogWriter, Waiting, serialized
+from logs.writing.serialize import LogWriter, PendingMessages, serialized
 from missions.flight.recording.header import drawn_model
 
 SYSTEM = System.paper(1)
@@ -61,7 +61,9 @@ def write(path: Path, ticks: int, epoch_ns: int = recorders.EPOCH_NS) -> Recorde
     for k in range(ticks):
         us = 4000 * k
         m = motion(0.001 * k)
-        memory, sample = tick(memory, Measurement(us * 1e-6, m.state), Reference(np.zeros(3), np.zeros(3)), DESIGN)
+        memory, sample = control_step(
+            memory, Measurement(us * 1e-6, m.state), Reference(np.zeros(3), np.zeros(3)), DESIGN
+        )
         out.write(us, out.truths([us], [False], single(m))[0])
         decide(out, us, sample, difference(sample.state, motion(0.001 * k + 1e-4).state, SYSTEM.n_links))
         out.frames(us, "tx", [1], [SETPOINT[:4] + bytes([k & 255]) + SETPOINT[5:]])
@@ -140,7 +142,7 @@ def test_what_many_messages_are_written_as_is_what_the_libraries_write_of_each(
     together, one_by_one = (
         LogWriter(io.BytesIO(), 10_000, names), Writer(io.BytesIO(), 10_000, compression=CompressionType.ZSTD)
     )  # fmt: skip
-    waiting = Waiting()
+    waiting = PendingMessages()
     for writer in (together, one_by_one):
         writer.start(library="x")
         channels = [writer.register_channel(topic, "", 0) for topic in ("/a", "/b", "/c")]
@@ -171,12 +173,12 @@ def test_chunks_end_where_enough_was_written_and_their_indexes_find_every_messag
     channels = [writer.register_channel(topic, "", 0) for topic in ("/a", "/b")]
     written = []
     for part in range(20):
-        waiting = Waiting()
+        waiting = PendingMessages()
         for k in range(25 * part, 25 * part + 25):
             waiting.put(("/a", "/b")[k % 2], 10**9 + 7 * (k ^ 3), bytes([k & 255] * (k % 40)))
             written.append((channels[k % 2], 10**9 + 7 * (k ^ 3), bytes([k & 255] * (k % 40))))
         writer.add_messages(waiting, dict(zip(("/a", "/b"), channels, strict=True)), 5)
-    writer.add_messages(Waiting(), {}, 5)
+    writer.add_messages(PendingMessages(), {}, 5)
     writer.finish()
     file.seek(0)
     reader = make_reader(file, validate_crcs=True)
@@ -374,7 +376,7 @@ def test_a_log_without_a_simulators_truth_is_replayed_from_what_was_measured(tmp
     memory = first_memory(DESIGN)
     for k in range(100):
         state = State.hanging(SYSTEM, (0.01 * k, 0.0, 0.0))
-        memory, sample = tick(memory, Measurement(0.0, state), Reference(np.zeros(3), np.zeros(3)), DESIGN)
+        memory, sample = control_step(memory, Measurement(0.0, state), Reference(np.zeros(3), np.zeros(3)), DESIGN)
         decide(out, 4000 * k, sample)
     run = read(out.finish())
     m = motion_of(run)
@@ -392,7 +394,7 @@ def test_frames_for_viewers_come_from_one_source_however_the_threads_run(tmp_pat
     )
     memory = first_memory(DESIGN)
     state = State.hanging(SYSTEM, (0.5, 0.0, 0.0))
-    _, sample = tick(memory, Measurement(0.0, state), Reference(np.zeros(3), np.zeros(3)), DESIGN)
+    _, sample = control_step(memory, Measurement(0.0, state), Reference(np.zeros(3), np.zeros(3)), DESIGN)
     decide(out, 4000, sample)
     out.write(4000, out.truths([4000], [False], single(motion(0.25)))[0])
     frames = [e for e in entries(out.finish()) if e.topic == "/tf"]

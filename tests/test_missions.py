@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from conftest import Command, cablequad, flown, next_offset
 
-from bridge.mission.guards import Guard, Watch, separation
+from bridge.mission.guards import Guard, GuardMonitor, separation
 from bridge.mission.per_vehicle import clear_of
 from bridge.mission.phases import ORDER, RULES, Phase
 from bridge.mission.plan_clock import PlanClock
@@ -21,7 +21,7 @@ from missions.flight.summary import Summary
 from missions.scenario import loading as scenarios
 from missions.scenario.script import ScriptError, script_from
 from missions.scenario.tables import FailureTable
-from sitl.failures import Broken, Failure
+from sitl.failures import ActiveFailures, Failure
 from sitl.firmware.autopilot import Actuation
 from sitl.plant import Plant
 
@@ -75,10 +75,10 @@ def test_what_breaks_is_broken_when_it_is_due_and_not_before(kind: str, shown: C
     flight = rehearsal(scenarios.load("ground-to-ground"))
     around = flight.world.around._replace(air=None)
     plant = Plant(flight.world.system, flight.world.airframe, flight.initial, 1e-3, None, around, None)
-    plant.held = False
+    plant.restrained = False
     x_before = plant.kinematics()[0]
     offset, wind = np.array([0.0, 0.1, 0.0]), np.array([8.0, 0.0, 0.0])
-    broken = Broken((Failure(1_000_000, kind, 1, 2, offset, wind),), 4)
+    broken = ActiveFailures((Failure(1_000_000, kind, 1, 2, offset, wind),), 4)
     assert broken.act(1_900_000, 1_000_000, plant, []) == []
     told = broken.act(2_000_000, 1_000_000, plant, [])
     broken.act(2_100_000, 1_000_000, plant, [])
@@ -91,7 +91,7 @@ def test_what_breaks_is_broken_when_it_is_due_and_not_before(kind: str, shown: C
 
 
 def test_a_guard_tells_once_when_it_breaks_and_once_when_it_holds_again() -> None:
-    watch = Watch((Guard("tilt_deg", 30.0, "pause", 0.2),))
+    watch = GuardMonitor((Guard("tilt_deg", 30.0, "pause", 0.2),))
     told = [watch.look(0.1 * k, {"tilt_deg": v}) for k, v in enumerate([10, 40, 40, 40, 40, 10, 10])]
     assert [len(broken) for broken, _ in told] == [0, 0, 0, 1, 0, 0, 0]
     assert [len(healed) for _, healed in told] == [0, 0, 0, 0, 0, 1, 0]

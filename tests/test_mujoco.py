@@ -8,7 +8,7 @@ from conftest import irregular
 from benchmarks.peer import apply_forces, model_of, set_state
 from cablequad.model import lie
 from cablequad.model.dynamics import accelerations
-from cablequad.model.integrate import Command, step
+from cablequad.model.integrate import RotorOutput, step
 from cablequad.model.state import State, positions
 from cablequad.model.system import System
 
@@ -62,7 +62,7 @@ def test_two_seconds_of_motion_agree_with_mujoco(system: System) -> None:
     for _ in range(20_000):
         mujoco.mj_step(model, data)
     for _ in range(4_000):
-        state = step(system, state, Command(thrust, np.zeros((n, 3))), 5e-4)
+        state = step(system, state, RotorOutput(thrust, np.zeros((n, 3))), 5e-4)
     mujoco.mj_forward(model, data)
     theirs = [data.body(f"b{i}_0").xipos.copy() for i in range(n)]
     ours = positions(system, state)[:, 0]

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from conftest import cablequad
 
-from cablequad.analysis.rollout import Timing, rollout
+from cablequad.analysis.rollout import LoopTiming, rollout
 from cablequad.control.trajectory import at
 from cablequad.model import lie
-from missions.scenario.loading import ScenarioError, scenario
+from missions.scenario import loading as scenario
+from missions.scenario.loading import ScenarioError
 
 CASE_1 = scenario.text("paper-case-1")
 
@@ -109,7 +110,7 @@ def test_a_load_that_hangs_tilted_starts_as_it_hangs_and_flies(tmp_path: Path) -
     flight = scenario.load(str(path))
     design = scenario.design(flight)
     plan = flight.trajectory
-    samples = list(rollout(design, flight.airframe, lambda t: at(plan, t), flight.initial, Timing(0.004, 4), 2500))
+    samples = list(rollout(design, flight.airframe, lambda t: at(plan, t), flight.initial, LoopTiming(0.004, 4), 2500))
     assert np.degrees(np.linalg.norm(lie.log(design.hanging.R0))) > 30
     assert np.linalg.norm(samples[-1].error.x[:6]) < 0.02
     assert min(float(s.f.min()) for s in samples) > 0

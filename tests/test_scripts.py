@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bridge.mission.mission import Mission
-from bridge.mission.observation import Sight
+from bridge.mission.observation import Observation
 from bridge.mission.phases import FLYING, LOADED, Phase
 from cablequad.control.design import Design
 from missions.scenario import loading as scenarios
@@ -70,7 +70,7 @@ class Kinematics:
     def decide(self) -> None:
         still = np.zeros_like(self.x)
         n = len(self.x)
-        sight = Sight(self.state, np.ones(n), 0.0, self.x, still, np.zeros(n))
+        sight = Observation(self.state, np.ones(n), 0.0, self.x, still, np.zeros(n))
         m = self.mission
         m.answer(self.now, self.now, sight)
         self.now += self.period
@@ -78,9 +78,9 @@ class Kinematics:
         if m.phase in LOADED:
             x0 = np.minimum(np.asarray(m._reference().x0), [np.inf, np.inf, self.plan.rest_z])
             self.state = self.state._replace(x0=x0)
-            self.x = m._rig.above(self.state, 1.0)
+            self.x = m._geometry.above(self.state, 1.0)
         elif m.phase in FLYING:
-            self.x = np.minimum(m._each.aim, [np.inf, np.inf, self.floor])
+            self.x = np.minimum(m._singles.aim, [np.inf, np.inf, self.floor])
         self.fleet.stands = bool((self.x[:, 2] > self.floor - 0.02).all())
 
     def fly(self) -> Mission:

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from cablequad.analysis.rollout import Timing, rollout
+from cablequad.analysis.rollout import LoopTiming, rollout
 from cablequad.control.design import Weights, sampled_law
 from cablequad.control.formation import formation
 from cablequad.control.trajectory import (
@@ -85,7 +85,9 @@ def test_a_turn_of_the_load_is_followed_on_the_way() -> None:
     """60 degrees of yaw while it moves a metre: within 2 cm and 3.5 degrees throughout, 2.6 measured."""
     path = leg((0, 0, 0, 0), (1, 0.5, -0.3, np.radians(60)), LIMITS)
     design = sampled_law(SYSTEM, AIRFRAME, Weights(), 0.004, 1)
-    samples = list(rollout(design, AIRFRAME, lambda t: at(path, t), State.hanging(SYSTEM), Timing(0.004, 4, 1), 2500))
+    samples = list(
+        rollout(design, AIRFRAME, lambda t: at(path, t), State.hanging(SYSTEM), LoopTiming(0.004, 4, 1), 2500)
+    )
     assert max(float(np.linalg.norm(s.error.x[:3])) for s in samples) < 0.02
     assert max(float(np.linalg.norm(s.error.x[3:6])) for s in samples) < np.radians(3.5)
     R0 = samples[-1].state.R0

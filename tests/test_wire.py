@@ -12,8 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bridge.fleet.setpoint_batch import Setpoints, WireError
-from bridge.wire import generate
-from bridge.wire import poller as watch
+from bridge.wire import generate, poller
 from bridge.wire.dialect import CABLE_STATE, mavlink
 from bridge.wire.frames import Packed, Signer, Verdict, fields, frame, packed
 from bridge.wire.link import Endpoint, Link, LinkError
@@ -134,10 +133,10 @@ def test_cables_of_any_length_arrive_whole(n_links: list[int]) -> None:
 @given(st.lists(st.lists(st.floats(-3.0, 3.0), min_size=4, max_size=4), min_size=1, max_size=12), st.integers(0, 2**31))
 def test_setpoints_of_a_fleet_are_those_of_its_vehicles_one_by_one(asked: list[list[float]], boot_ms: int) -> None:
     R_c = np.array([lie.exp(np.array(turn)) for *turn, _ in asked])
-    thrust, sheet = [abs(t) / 3.0 for *_, t in asked], Setpoints(len(asked))
-    sheet.tell(boot_ms, R_c, thrust)
-    n = len(sheet)
-    for k, whole in enumerate(sheet.framed(bytes(range(n)), bytes([250]) * n, 191, 0)):
+    thrust, batch = [abs(t) / 3.0 for *_, t in asked], Setpoints(len(asked))
+    batch.tell(boot_ms, R_c, thrust)
+    n = len(batch)
+    for k, whole in enumerate(batch.framed(bytes(range(n)), bytes([250]) * n, 191, 0)):
         quat = lie.wxyz_from_rotation(R_c[k])
         one = AttitudeTarget(boot_ms, k + 1, 1, 7, quat, (0.0, 0.0, 0.0), thrust[k])
         assert whole == frame(encode(one), k, 250, 191)
@@ -146,22 +145,22 @@ def test_setpoints_of_a_fleet_are_those_of_its_vehicles_one_by_one(asked: list[l
 @given(st.lists(st.lists(st.floats(-3.0, 3.0), min_size=6, max_size=6), min_size=1, max_size=12), st.integers(0, 2**31))
 def test_attitudes_of_a_fleet_are_those_of_its_vehicles_one_by_one(moving: list[list[float]], boot_ms: int) -> None:
     all_R, rates = [lie.exp(np.array(m[:3])) for m in moving], [np.array(m[3:]) for m in moving]
-    sheet = Attitudes(len(moving) + 2)  # not all have something to say
+    batch = Attitudes(len(moving) + 2)  # not all have something to say
     for k in (len(moving), 1):
-        sheet.tell(boot_ms, all_R[:k], rates[:k])
-        frames = sheet.framed(bytes(range(k)), bytes(range(1, k + 1)), 1, 0)
+        batch.tell(boot_ms, all_R[:k], rates[:k])
+        frames = batch.framed(bytes(range(k)), bytes(range(1, k + 1)), 1, 0)
         told = [VehicleAttitude.of(boot_ms, own, Omega) for own, Omega in zip(all_R[:k], rates, strict=False)]
         assert frames == [frame(encode(one), i, i + 1, 1) for i, one in enumerate(told)]
 
 
 @pytest.mark.parametrize("wrong", [math.nan, math.inf, -math.inf])
 def test_a_setpoint_that_is_not_finite_never_becomes_a_message(wrong: float) -> None:
-    level, sheet = np.tile(np.eye(3), (3, 1, 1)), Setpoints(3)
+    level, batch = np.tile(np.eye(3), (3, 1, 1)), Setpoints(3)
     with pytest.raises(WireError, match="vehicle 2: non-finite setpoint"):
-        sheet.tell(4, level, [0.5, wrong, 0.5])
+        batch.tell(4, level, [0.5, wrong, 0.5])
     level[2, 0, 1] = wrong
     with pytest.raises(WireError, match="vehicle 3"):
-        sheet.tell(4, level, [0.5, 0.5, 0.5])
+        batch.tell(4, level, [0.5, 0.5, 0.5])
 
 
 @given(st.integers(-(2**31), 2**31 - 1))
@@ -350,7 +349,7 @@ class TestLink:
         other.close()
 
     def test_a_system_without_epoll_is_served_as_well(self, offset: int, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(watch, "_EPOLL", None)
+        monkeypatch.setattr(poller, "_EPOLL", None)
         link, other, address = self.pair(offset)
         assert link.poll(0.005) == []
         other.sendto(frame(encode(Heartbeat(2, 12, 1, 0, 3)), 0, 7, 1), address)

@@ -16,7 +16,7 @@ from bridge.wire.dialect import mavlink
 from bridge.wire.messages import TEXT_BYTES
 from bridge.wire.values import (
     IN_AIR,
-    Battery,
+    BatteryStatus,
     CommandAck,
     GpsFix,
     Heartbeat,
@@ -195,7 +195,7 @@ class Fleet:
                 self._begin_in_air(now)
             case VehiclePosition():
                 v.place = value.x
-            case Battery():
+            case BatteryStatus():
                 v.battery = value.remaining if value.remaining >= 0.0 else v.battery
             case GpsFix():
                 (self.astray.discard if value.fix >= FIX_3D else self.astray.add)(source - 1)

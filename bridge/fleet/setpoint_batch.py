@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bridge.wire.batches import Sheet, put_targets
+from bridge.wire.batches import Batch, put_targets
 from bridge.wire.messages import encode
 from bridge.wire.values import AttitudeTarget
 from cablequad.types import Array
@@ -17,7 +17,7 @@ class WireError(ValueError):
     """A value that may not go on the wire."""
 
 
-class Setpoints(Sheet):
+class Setpoints(Batch):
     """SET_ATTITUDE_TARGET of vehicles 1 .. n: type mask 7, unit quaternion, component 1."""
 
     def __init__(self, n: int) -> None:

@@ -6,13 +6,13 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from bridge.fleet.fleet import Fleet
-from bridge.loop.state_assembly import Instant, Loop, Observer
+from bridge.loop.state_assembly import Instant, LoopModel, StateAssembler
 from bridge.mission.fleet_subset import expanded
 from bridge.mission.mission import UNSUPPORTED, Mission
-from bridge.mission.observation import Sight
+from bridge.mission.observation import Observation
 from bridge.mission.phases import FLY, LOADED, PREPARE
 from bridge.wire.values import CableShape, VehiclePosition
-from cablequad.control.control_step import Measurement, Sample, first_memory, tick
+from cablequad.control.control_step import Measurement, Sample, control_step, first_memory
 from cablequad.control.design import Design
 from cablequad.control.trajectory import Reference
 from cablequad.model.attitude import Airframe
@@ -42,7 +42,7 @@ class Decided(NamedTuple):
 class Decider(Protocol):
     """What the loop asks."""
 
-    observer: Observer
+    observer: StateAssembler
 
     @property
     def phase(self) -> str:
@@ -71,8 +71,8 @@ class Decider(Protocol):
 class PlanDecider:
     """Flies a plan, and holds its start until the release."""
 
-    def __init__(self, plan: Plan, fleet: Fleet, loop: Loop, design: Design) -> None:
-        self.observer = Observer(loop)
+    def __init__(self, plan: Plan, fleet: Fleet, loop: LoopModel, design: Design) -> None:
+        self.observer = StateAssembler(loop)
         self.carrying = True
         self._plan, self._fleet, self._design = plan, fleet, design
         self._memory = first_memory(design)
@@ -90,8 +90,8 @@ class PlanDecider:
 
     def answer(self, t: float, now: float, instant: Instant) -> Decided:
         del now
-        measured = Measurement(t, instant.state, held=not self._fleet.flying)
-        self._memory, sample = tick(self._memory, measured, self._plan.reference(t), self._design)
+        measured = Measurement(t, instant.state, restrained=not self._fleet.flying)
+        self._memory, sample = control_step(self._memory, measured, self._plan.reference(t), self._design)
         self.observer.commanded(instant.boot_ms, sample.R_c, sample.f)
         return Decided(sample, instant.tension.tolist(), instant.position_gap.tolist(), [])
 
@@ -111,10 +111,10 @@ class PlanDecider:
 class MissionDecider:
     """Flies a mission with those that are not lost: observes them alone, and makes their decisions ones for all."""
 
-    def __init__(self, mission: Mission, loop: Loop, design: Design) -> None:
+    def __init__(self, mission: Mission, loop: LoopModel, design: Design) -> None:
         self.mission = mission
         self._loop, self._whole = loop, design
-        self.observer = Observer(loop)
+        self.observer = StateAssembler(loop)
         self._slack = not mission.plan.airborne
         if self._slack:
             self.observer.slack(True)
@@ -147,7 +147,7 @@ class MissionDecider:
         return "every vehicle is armed"
 
     def answer(self, t: float, now: float, instant: Instant) -> Decided:
-        x, v, age_s = self.observer.told(instant.boot_ms)
+        x, v, age_s = self.observer.reported(instant.boot_ms)
         astray = [
             own for own, k in enumerate(self._members) if self._astray(k) or (age_s[own] > OLD_S and not self._slack)
         ]
@@ -155,8 +155,8 @@ class MissionDecider:
             x[astray] = positions(self.mission.design.system, instant.state)[astray, 0]
         tension = np.zeros(len(self._whole.system.m))
         tension[self._members] = instant.tension
-        sight = Sight(instant.state, instant.tension, instant.age_ms * 1e-3, x, v, age_s)
-        own = self.mission.answer(t, now, sight)
+        observation = Observation(instant.state, instant.tension, instant.age_ms * 1e-3, x, v, age_s)
+        own = self.mission.answer(t, now, observation)
         self._follow()
         self.observer.commanded(instant.boot_ms, own.R_c, own.f)
         events, self.mission.events = self.mission.events, []
@@ -182,7 +182,7 @@ class MissionDecider:
             self._members = list(m.members)
             air = Airframe(*(field[self._members].copy() for field in self._loop.airframe))
             filter = m.filters.get(frozenset(m.lost))
-            self.observer = Observer(self._loop._replace(system=m.design.system, airframe=air, filter=filter))
+            self.observer = StateAssembler(self._loop._replace(system=m.design.system, airframe=air, filter=filter))
             self.observer.inherit(before, rest)
             self.observer.slack(self._slack)
         slack = not m.hanging

@@ -11,9 +11,9 @@ from bridge.fleet.sources import Sources
 from bridge.fleet.thrust import ThrustScale, made_thrust_N
 from bridge.fleet.vehicle import Request
 from bridge.loop.deciders import Decider
-from bridge.loop.state_assembly import Instant, Loop
-from bridge.loop.tick_barrier import CLOSING, Gate
-from bridge.loop.time_sync import Related, Relation
+from bridge.loop.state_assembly import Instant, LoopModel
+from bridge.loop.tick_barrier import CLOSING, TickBarrier
+from bridge.loop.time_sync import ClockOffset, TimeSync
 from bridge.wire.link import Address, Link, Mishandled, Received
 from bridge.wire.link_faults import Channel
 from bridge.wire.messages import encode
@@ -45,7 +45,7 @@ class Patience(NamedTuple):
     stall_s: float = STALL_S  # wall clock without a frame, after which a simulator in lockstep is given up
 
 
-class Timing(NamedTuple):
+class TickStatistics(NamedTuple):
     """How the loop kept time, on the wall clock."""
 
     ticks: int
@@ -85,12 +85,12 @@ class _Flight:
     """The state of one call of `fly`."""
 
     def __init__(
-        self, link: Link, fleet: Fleet, decider: Decider, loop: Loop, record: Record, channels: Channels,
-        relation: Relation, places: Mapping[int, tuple[int, Address]], patience: Patience,
+        self, link: Link, fleet: Fleet, decider: Decider, loop: LoopModel, record: Record, channels: Channels,
+        relation: TimeSync, places: Mapping[int, tuple[int, Address]], patience: Patience,
     ) -> None:  # fmt: skip
         self.link, self.fleet, self.decider, self.record = link, fleet, decider, record
         self.loop, self.relation, self.patience = loop, relation, patience
-        self.gate = Gate(fleet.n, TRACKER, loop.period_ms, loop.sensing)
+        self.barrier = TickBarrier(fleet.n, TRACKER, loop.period_ms, loop.sensing)
         self.channels = channels
         self.sources = Sources(fleet.n, places)
         self.routes = self.sources.routes
@@ -107,9 +107,9 @@ class _Flight:
         self.scales = [ThrustScale()] * fleet.n
         n_links, inv_node = loop.system.n_links.tolist(), loop.system.inv_node
         self.hanging_N = [float((1.0 / inv_node[i, 1:k]).sum()) * loop.system.g for i, k in enumerate(n_links)]
-        self.felt: list[tuple[int, Imu]] = []  # accelerations not yet compared with what was asked
+        self.accelerations: list[tuple[int, Imu]] = []  # accelerations not yet compared with what was asked
         self.released = False
-        self.related: list[Related] = []  # not yet told
+        self.offsets: list[ClockOffset] = []  # not yet told
 
     @property
     def flown(self) -> float:
@@ -141,15 +141,15 @@ class _Flight:
             heard.append(frame)
             kind = type(frame.value)
             if kind in CLOSING and frame.component == (1 if frame.system != TRACKER else COMPONENT):
-                self.gate.feed(frame.system, self.relation.mapped(frame.system, frame.value))
+                self.barrier.feed(frame.system, self.relation.mapped(frame.system, frame.value))
             if kind is Heartbeat:
                 self.sources.heard(frame)
             elif kind is Timesync:
-                self.related += self.relation.answered(frame.system, frame.value, arrived)
+                self.offsets += self.relation.answered(frame.system, frame.value, arrived)
             elif kind is PayloadState and frame.system == TRACKER:
                 tracked = frame.value.boot_us
         self.pending += heard
-        boot_ms = self.gate.open()
+        boot_ms = self.barrier.open()
         sample = None
         while boot_ms is not None:  # more than one where a tick was left open until the next began
             self.now_us = boot_ms * 1000
@@ -161,7 +161,7 @@ class _Flight:
             else:
                 sample = self._answer(instant, arrived)
                 tracked = None if tracked == self.now_us else tracked
-            boot_ms = self.gate.open()
+            boot_ms = self.barrier.open()
         self._ask_time(arrived)
         slow = not self.patience.lockstep and bool(self.pending)
         stale = slow and arrived - self.pending_since >= PROCESS_ANYWAY_S
@@ -193,9 +193,9 @@ class _Flight:
         """Let the links' faults act, then feed everyone in an order that does not depend on which socket came first."""
         frames = sorted(self.pending, key=SENDER)
         self.pending = []
-        for related in self.related:
+        for related in self.offsets:
             self.event("clock", f"vehicle {related.vehicle}", related.text())
-        self.related = []
+        self.offsets = []
         if self.channels:
             for frame in frames:
                 channel = self.channels.get(frame.system)
@@ -237,7 +237,7 @@ class _Flight:
             value = self.relation.mapped(system, value)
             self.decider.feed(system, value)
             if kind is Imu and value is not None and self.fleet.flying and system <= self.fleet.n:
-                self.felt.append((system - 1, value))
+                self.accelerations.append((system - 1, value))
 
     def record_heard(self) -> None:
         """What came in stands in the log before anything that it led to."""
@@ -289,9 +289,9 @@ class _Flight:
         self.fleet.observed(now, decided.gaps_m)
         self._send(self.fleet.due(now), setpoints)
         done = self.link.now()
-        for i, imu in self.felt:  # nobody waits for this
+        for i, imu in self.accelerations:  # nobody waits for this
             self._compare_thrust(i, imu)
-        self.felt = []
+        self.accelerations = []
         self.record.decided(self.now_us, sample, decided.tension, self.decider.phase, instant.age_ms * 1e-3)
         self.predicted += instant.age_ms > 0 and self.fleet.flying
         self._time(instant.boot_ms, arrived, done)
@@ -327,25 +327,25 @@ class _Flight:
         if self.ticks % max(1, 1000 // self.loop.period_ms) == 0:
             self.record.perf(self.now_us, done - arrived, self.ticks)
 
-    def timing(self) -> Timing:
+    def timing(self) -> TickStatistics:
         """What the loop measured of itself."""
         flight = 0.0 if self.started is None or self.last is None else self.last[1] - self.started
-        return Timing(self.ticks, self.missed, self.intervals, flight, self.scales, self.predicted)
+        return TickStatistics(self.ticks, self.missed, self.intervals, flight, self.scales, self.predicted)
 
 
 def fly(
     link: Link,
     fleet: Fleet,
     decider: Decider,
-    loop: Loop,
+    loop: LoopModel,
     record: Record,
     patience: Patience,
     watch: Callable[[str, Sample | None, float], str | None],
     channels: Channels,
-    relation: Relation,
+    relation: TimeSync,
     places: Mapping[int, tuple[int, Address]] | None = None,
     alive: Callable[[], bool] = lambda: True,
-) -> tuple[Outcome, Timing]:
+) -> tuple[Outcome, TickStatistics]:
     """Bring the fleet up, fly what `decider` decides, leave every vehicle holding.
 
     Never raises for what vehicles or users do.

@@ -22,11 +22,11 @@ from bridge.wire.values import CableShape, PayloadState, VehicleAttitude, Vehicl
 from cablequad.control.estimator import (
     Belief,
     Filter,
-    Seen,
+    Measured,
     Sensing,
     corrected,
     first_belief,
-    nothing_seen,
+    nothing_measured,
     predicted,
 )
 from cablequad.model import lie
@@ -38,7 +38,7 @@ from cablequad.types import Array
 KEPT = 64  # instants that late measurements may still belong to
 
 
-class Loop(NamedTuple):
+class LoopModel(NamedTuple):
     """What the observer knows of the loop it stands in; times are milliseconds of the vehicles' clock."""
 
     system: System
@@ -75,10 +75,10 @@ class _Parts:
         self.links_missing = many
 
 
-class Observer:
+class StateAssembler:
     """Collects values by time stamp; `estimate` is the state at one of them."""
 
-    def __init__(self, loop: Loop) -> None:
+    def __init__(self, loop: LoopModel) -> None:
         self._loop = loop
         self._n, self._L = loop.system.length.shape
         self._links_of = loop.system.n_links.tolist()
@@ -91,39 +91,42 @@ class Observer:
         self._newest_ms = -1
         self._oldest_new = -1  # the earliest stamp of which something new is known; -1: none
         self._tension = np.zeros(self._n)
-        self._untold = np.full(self._n, np.nan)
+        self._unreported = np.full(self._n, np.nan)
         self._moving = False
         self._slack = False
         self._begun = False
-        self._told_ms = [-1] * self._n  # when each vehicle told its position last
-        self._told_load: PayloadState | None = None
-        self._told_cable_ms = [-1] * self._n
-        self._told_R: dict[int, VehicleAttitude] = {}
-        self._told_x, self._told_v = np.full((self._n, 3), np.nan), np.zeros((self._n, 3))
+        self._reported_ms = [-1] * self._n  # when each vehicle told its position last
+        self._reported_load: PayloadState | None = None
+        self._reported_cable_ms = [-1] * self._n
+        self._reported_R: dict[int, VehicleAttitude] = {}
+        self._reported_x, self._reported_v = np.full((self._n, 3), np.nan), np.zeros((self._n, 3))
 
-    def inherit(self, before: "Observer", rest: list[int]) -> None:
+    def inherit(self, before: "StateAssembler", rest: list[int]) -> None:
         """Know what `before` was told last by those of its vehicles (from 0) that are left: the silent say no more."""
-        self._told_load = before._told_load
+        self._reported_load = before._reported_load
         for own, i in enumerate(rest):
-            self._told_ms[own] = before._told_ms[i]
-            self._told_x[own], self._told_v[own] = before._told_x[i], before._told_v[i]
-            if i in before._told_R:
-                self._told_R[own] = before._told_R[i]
+            self._reported_ms[own] = before._reported_ms[i]
+            self._reported_x[own], self._reported_v[own] = before._reported_x[i], before._reported_v[i]
+            if i in before._reported_R:
+                self._reported_R[own] = before._reported_R[i]
 
     def feed(self, source: int, value: object) -> None:
         """Take one value from the vehicle with system id `source`, or from the tracker."""
         match value:
             case VehicleAttitude() if 1 <= source <= self._n:
                 parts = self._of(value.boot_ms)
-                parts.attitudes[source - 1] = self._told_R[source - 1] = value
+                parts.attitudes[source - 1] = self._reported_R[source - 1] = value
                 parts.frames[source - 1] = value.frame
             case VehiclePosition() if 1 <= source <= self._n:
                 self._of(value.boot_ms).positions[source - 1] = value
-                if value.boot_ms > self._told_ms[source - 1] or value.boot_ms < self._told_ms[source - 1] - REBOOT_MS:
-                    self._told_ms[source - 1] = value.boot_ms
-                    self._told_x[source - 1], self._told_v[source - 1] = value.x, value.v
+                if (
+                    value.boot_ms > self._reported_ms[source - 1]
+                    or value.boot_ms < self._reported_ms[source - 1] - REBOOT_MS
+                ):
+                    self._reported_ms[source - 1] = value.boot_ms
+                    self._reported_x[source - 1], self._reported_v[source - 1] = value.x, value.v
             case PayloadState() if source > self._n and self._loop.sensing != "vehicles":
-                self._of(value.boot_us // 1000).payload = self._told_load = value
+                self._of(value.boot_us // 1000).payload = self._reported_load = value
             case CableShape() if source > self._n and self._loop.sensing == "full":
                 self._cable(value)
             case _:
@@ -139,7 +142,7 @@ class Observer:
         self._moving = True
 
     def slack(self, is_slack: bool) -> None:
-        """Cables may hang slack, which no model of taut ones knows: nothing is carried on, all is as it is seen."""
+        """Cables may hang slack, which no model of taut ones knows: nothing is carried on, all is as it is measured."""
         self._slack, self._moving = is_slack, not is_slack
 
     def estimate(self, boot_ms: int) -> Instant | None:
@@ -153,16 +156,16 @@ class Observer:
             return None
         else:
             belief, rests_on = self._carried(boot_ms)
-            state, age = belief.state, boot_ms - (min(self._told_ms) if self._slack else rests_on)
+            state, age = belief.state, boot_ms - (min(self._reported_ms) if self._slack else rests_on)
         self._begun = True
         self._oldest_new = -1
         self._forget(self._known)
-        gap = self._untold.copy()
+        gap = self._unreported.copy()
         if parts is not None:
             if parts.links_missing == 0:
                 self._tension = parts.tension
             elif self._loop.sensing != "full":
-                self._tension = self._untold
+                self._tension = self._unreported
             if parts.positions:
                 hung = positions(self._loop.system, state)
                 for i, said in parts.positions.items():
@@ -177,8 +180,8 @@ class Observer:
         said = {"the payload tracker (ODOMETRY)": sum(p.payload is not None for p in parts)}
         if self._loop.sensing == "full":
             for i, links in enumerate(self._links_of):
-                told = sum(p.cable_links[i] >= links for p in parts)
-                said[f"the payload tracker (CABLE_STATE of cable {i + 1})"] = told
+                stamped = sum(p.cable_links[i] >= links for p in parts)
+                said[f"the payload tracker (CABLE_STATE of cable {i + 1})"] = stamped
         elif self._loop.sensing == "vehicles":
             said = {
                 f"vehicle {i + 1} (LOCAL_POSITION_NED)": sum(i in p.positions for p in parts) for i in range(self._n)
@@ -187,10 +190,10 @@ class Observer:
         who = min(said, key=lambda name: said[name])
         return f"{who} spoke of {said[who]} of the last {of} instants"
 
-    def told(self, boot_ms: int) -> tuple[Array, Array, Array]:
+    def reported(self, boot_ms: int) -> tuple[Array, Array, Array]:
         """x (n, 3) m where vehicles said they are, carried on by v (n, 3) m/s to `boot_ms`, and its age (n,) s."""
-        since = np.maximum(boot_ms - np.array(self._told_ms), 0) * 1e-3
-        return self._told_x + since[:, None] * self._told_v, self._told_v.copy(), since
+        since = np.maximum(boot_ms - np.array(self._reported_ms), 0) * 1e-3
+        return self._reported_x + since[:, None] * self._reported_v, self._reported_v.copy(), since
 
     def known(self, boot_ms: int) -> tuple[State, Array] | None:
         """The state and the tensions (n,) N of an instant that was measured whole."""
@@ -214,7 +217,7 @@ class Observer:
                 for store in (self._parts, self._known, self._commands):
                     store.clear()
                 self._begun = False
-                self._told_cable_ms = [-1] * self._n
+                self._reported_cable_ms = [-1] * self._n
                 self._newest_ms = boot_ms
             self._newest_ms = max(self._newest_ms, boot_ms)
             parts = self._parts[boot_ms] = _Parts(self._hanging, self._links)
@@ -239,7 +242,7 @@ class Observer:
         parts.links_missing -= k
         parts.tension[i] = c.tension_N
         if parts.cable_links[i] >= self._links_of[i]:
-            self._told_cable_ms[i] = max(self._told_cable_ms[i], c.boot_us // 1000)
+            self._reported_cable_ms[i] = max(self._reported_cable_ms[i], c.boot_us // 1000)
 
     def _begin(self) -> bool:
         """Whether some instant is known whole, from which the model can lead on."""
@@ -257,59 +260,63 @@ class Observer:
 
     def _begin_apart(self) -> bool:
         """Begin with vehicles that keep their own time: what is held is at the tracker's stamp as they told it last."""
-        if self._loop.filter is not None or len(self._told_R) < self._n:
+        if self._loop.filter is not None or len(self._reported_R) < self._n:
             return False
         for stamp in sorted(self._parts, reverse=True):
             parts = self._parts[stamp]
             beside = any(
-                told.boot_ms % self._loop.period_ms != stamp % self._loop.period_ms for told in self._told_R.values()
+                stamped.boot_ms % self._loop.period_ms != stamp % self._loop.period_ms
+                for stamped in self._reported_R.values()
             )
-            state = self._measured(parts, self._told_R) if beside else None
+            state = self._measured(parts, self._reported_R) if beside else None
             if state is not None:
-                self._known[stamp] = (Belief(state, self._no_force), min(stamp, self._oldest_told()))
+                self._known[stamp] = (Belief(state, self._no_force), min(stamp, self._oldest_reported()))
                 return True
         return False
 
-    def _oldest_told(self) -> int:
+    def _oldest_reported(self) -> int:
         """The stamp (ms) that the source which was silent for longest spoke of last; -1 before all have spoken."""
-        stamps = [told.boot_ms for told in self._told_R.values()]
+        stamps = [stamped.boot_ms for stamped in self._reported_R.values()]
         if len(stamps) < self._n:
             return -1
         if self._loop.sensing == "full":
-            stamps += [-1 if self._told_load is None else self._told_load.boot_us // 1000, *self._told_cable_ms]
+            stamps += [
+                -1 if self._reported_load is None else self._reported_load.boot_us // 1000,
+                *self._reported_cable_ms,
+            ]
         return min(stamps)
 
     def _lying(self, filter: Filter, parts: _Parts) -> Belief | None:
-        """Everything where it is seen, cables straight; None without what that takes.
+        """Everything where it is measured, cables straight; None without what that takes.
 
         Where cables are slack little moves: what this stamp does not tell is as it was told last.
         """
-        seen = self._seen(parts)
-        load = self._told_load
+        measured = self._measurements(parts)
+        load = self._reported_load
         if self._slack and load is None:
             return None
         if load is not None:
             if parts.payload is None:
-                seen = seen._replace(x0=load.x0, v0=load.v0, R0=load.R0, Omega0=load.Omega0)
+                measured = measured._replace(x0=load.x0, v0=load.v0, R0=load.R0, Omega0=load.Omega0)
             for i in range(self._n):
                 if i not in parts.positions:
-                    seen.x[i], seen.v[i] = self._told_x[i], self._told_v[i]
-                if i not in parts.attitudes and i in self._told_R:
-                    seen.R[i], seen.Omega[i] = self._told_R[i].R, self._told_R[i].Omega
-        return first_belief(filter, seen)
+                    measured.x[i], measured.v[i] = self._reported_x[i], self._reported_v[i]
+                if i not in parts.attitudes and i in self._reported_R:
+                    measured.R[i], measured.Omega[i] = self._reported_R[i].R, self._reported_R[i].Omega
+        return first_belief(filter, measured)
 
-    def _seen(self, parts: _Parts) -> Seen:
+    def _measurements(self, parts: _Parts) -> Measured:
         """What was measured, for the filter."""
-        seen = nothing_seen(self._loop.system)
+        measured = nothing_measured(self._loop.system)
         load = parts.payload
         if load is not None:
-            seen = seen._replace(x0=load.x0, v0=load.v0, R0=load.R0, Omega0=load.Omega0)
+            measured = measured._replace(x0=load.x0, v0=load.v0, R0=load.R0, Omega0=load.Omega0)
         for i, said in parts.positions.items():
-            seen.x[i], seen.v[i] = said.x, said.v
-        self._put_measured(parts, seen)
-        return seen
+            measured.x[i], measured.v[i] = said.x, said.v
+        self._put_measured(parts, measured)
+        return measured
 
-    def _put_measured(self, parts: _Parts, into: State | Seen) -> None:
+    def _put_measured(self, parts: _Parts, into: State | Measured) -> None:
         """Attitudes of vehicles and whole cables, in their place."""
         for i, vehicle in parts.attitudes.items():
             into.R[i], into.Omega[i] = vehicle.R, vehicle.Omega
@@ -326,8 +333,8 @@ class Observer:
         frames = (
             parts.frames if attitudes is parts.attitudes else np.array([attitudes[i].frame for i in range(self._n)])
         )
-        whole, *held = measured(parts.links, frames)
-        return State(load.x0, load.v0, load.R0, load.Omega0, *held) if whole else None
+        whole, *rest = measured(parts.links, frames)
+        return State(load.x0, load.v0, load.R0, load.Omega0, *rest) if whole else None
 
     def _carried(self, boot_ms: int) -> tuple[Belief, int]:
         """From the last estimate that nothing new concerns, step by step to `boot_ms`."""
@@ -335,29 +342,31 @@ class Observer:
         base = max((stamp for stamp in self._known if stamp < first), default=min(self._known))
         belief, rests_on = self._known[base]
         at = base
-        told = sorted(stamp for stamp in self._parts if base < stamp <= boot_ms)  # sources keep their own time
+        stamped = sorted(stamp for stamp in self._parts if base < stamp <= boot_ms)  # sources keep their own time
         while at < boot_ms:
-            following = min(at + self._loop.period_ms, boot_ms, next((stamp for stamp in told if stamp > at), boot_ms))
+            following = min(
+                at + self._loop.period_ms, boot_ms, next((stamp for stamp in stamped if stamp > at), boot_ms)
+            )
             belief = self._predicted(belief, at, following)
             at = following
             parts = self._parts.get(at)
             if parts is not None and self._loop.filter is not None:
                 belief = self._filtered(self._loop.filter, belief, parts)
-                rests_on = at if len(parts.attitudes) == self._n else max(rests_on, min(at, self._oldest_told()))
+                rests_on = at if len(parts.attitudes) == self._n else max(rests_on, min(at, self._oldest_reported()))
             elif parts is not None:
                 whole = self._measured(parts)
                 if whole is not None:
                     belief, rests_on = Belief(whole, self._no_force), at
                 else:
                     belief = Belief(self._corrected(belief.state, parts), self._no_force)
-                    rests_on = max(rests_on, min(at, self._oldest_told()))
+                    rests_on = max(rests_on, min(at, self._oldest_reported()))
             self._known[at] = (belief, rests_on)
         return belief, rests_on
 
     def _filtered(self, filter: Filter, belief: Belief, parts: _Parts) -> Belief:
         if self._slack:
             return self._lying(filter, parts) or belief
-        after = corrected(filter, belief, self._seen(parts))
+        after = corrected(filter, belief, self._measurements(parts))
         if not math.isfinite(float(after.state.omega.sum()) + float(after.state.v0.sum()) + float(after.force.sum())):
             return self._lying(filter, parts) or self._known[min(self._known)][0]  # what moves is not what is modelled
         if self._moving:

@@ -8,7 +8,7 @@ REBOOT_MS = 1000  # a clock that goes back by more has begun anew
 CLOSING = frozenset({VehicleAttitude, VehiclePosition, PayloadState})  # what may close a source's part of a tick
 
 
-class Gate:
+class TickBarrier:
     """Says when a tick has come: every source that lives has spoken of it, or has let a later one begin."""
 
     def __init__(self, vehicles: int, tracker: int, period_ms: int, sensing: Sensing = "full") -> None:
@@ -19,7 +19,7 @@ class Gate:
         self._closing = VehiclePosition if sensing == "vehicles" else VehicleAttitude
         self._tracker = tracker
         self._period_ms = period_ms
-        self._told_ms = -1
+        self._announced_ms = -1
         self._own_time: set[int] = set()  # sources whose stamps are not the tracker's; nobody waits for them
         self._moved = False  # whether there may be something to tell
 
@@ -54,16 +54,16 @@ class Gate:
         if not stamps or min(self._newest.values()) < 0:
             return None
         newest = max(stamps)
-        if newest <= self._told_ms and newest > self._told_ms - REBOOT_MS:
+        if newest <= self._announced_ms and newest > self._announced_ms - REBOOT_MS:
             return None
         late = newest - AWAITED * self._period_ms
         if all(stamp == newest for stamp in stamps if stamp > late):
-            self._told_ms = newest
+            self._announced_ms = newest
             return newest
         spoken = self._newest.get(self._tracker, -1)
         gone_on = max(spoken, newest - self._period_ms)  # the tracker speaks last in a tick
         earlier = gone_on - self._period_ms
-        if earlier > self._told_ms >= 0:  # what is missing of the tick before is not coming
-            self._told_ms = earlier
+        if earlier > self._announced_ms >= 0:  # what is missing of the tick before is not coming
+            self._announced_ms = earlier
             return earlier
         return None

@@ -28,7 +28,7 @@ class _Clock:
         self.pairs = 0
         self.offset_ms: int | None = None
 
-    def seen(self, difference: int, within: int) -> bool:
+    def narrow(self, difference: int, within: int) -> bool:
         """One more round trip; whether what is made of them all changed."""
         self.low, self.high = max(self.low, difference - within), min(self.high, difference + within)
         if self.low > self.high:  # it was set, or drifted
@@ -44,7 +44,7 @@ class _Clock:
         return self.offset_ms != before
 
 
-class Related(NamedTuple):
+class ClockOffset(NamedTuple):
     """Something that became known of a vehicle's clock."""
 
     vehicle: int  # system id
@@ -55,12 +55,12 @@ class Related(NamedTuple):
         return f"offset_ms={self.offset_ms}"
 
     @classmethod
-    def read(cls, subject: str, text: str) -> "Related":
+    def read(cls, subject: str, text: str) -> "ClockOffset":
         """What `text` says of a vehicle."""
         return cls(int(subject.split()[-1]), int(text.partition("=")[2]))
 
 
-class Relation:
+class TimeSync:
     """Maps what vehicles say into the tracker's time and frame."""
 
     def __init__(self, vehicles: int, tracker: int, asks: bool) -> None:
@@ -89,28 +89,28 @@ class Relation:
             del self._answers[min(self._answers)]
         return Timesync(0, asked)
 
-    def answered(self, system: int, value: Timesync, now: float) -> list[Related]:
+    def answered(self, system: int, value: Timesync, now: float) -> list[ClockOffset]:
         """Take an answer that came at `now`; what it makes known."""
-        told = self._answers.get(value.ts1)
-        if value.tc1 == 0 or told is None or system in told:
+        answers = self._answers.get(value.ts1)
+        if value.tc1 == 0 or answers is None or system in answers:
             return []
-        told[system] = (value.tc1, round(now * 1e9) - value.ts1)
-        if self._tracker not in told:
+        answers[system] = (value.tc1, round(now * 1e9) - value.ts1)
+        if self._tracker not in answers:
             return []
         out = []
-        for k in list(told) if system == self._tracker else [system]:
-            within = max(told[k][1], told[self._tracker][1]) + STEP_NS
+        for k in list(answers) if system == self._tracker else [system]:
+            within = max(answers[k][1], answers[self._tracker][1]) + STEP_NS
             if (
                 k in self._clocks
                 and within < SLOW_NS
-                and self._clocks[k].seen(told[k][0] - told[self._tracker][0], within)
+                and self._clocks[k].narrow(answers[k][0] - answers[self._tracker][0], within)
             ):
-                out.append(Related(k, self._clocks[k].offset_ms or 0))
+                out.append(ClockOffset(k, self._clocks[k].offset_ms or 0))
         return out
 
-    def set(self, related: Related) -> None:
+    def set(self, offset: ClockOffset) -> None:
         """What a log says was known."""
-        self._clocks[related.vehicle].offset_ms = related.offset_ms
+        self._clocks[offset.vehicle].offset_ms = offset.offset_ms
 
     def learn(self, system: int, value: Any) -> None:
         """Take what is told of origins."""

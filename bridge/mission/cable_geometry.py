@@ -15,7 +15,7 @@ STRONG = 0.8  # of its greatest thrust, that a vehicle may need at rest
 CARRIES = 0.02  # of a vehicle's weight: the least that a cable must bear for a fleet that goes on
 
 
-class Rig(NamedTuple):
+class CableGeometry(NamedTuple):
     """One crew's load and cables."""
 
     system: System
@@ -24,8 +24,8 @@ class Rig(NamedTuple):
     strong: bool  # every vehicle has thrust to spare at rest
 
     @classmethod
-    def of(cls, design: Design) -> "Rig":
-        """The rig of those for whom `design` is."""
+    def of(cls, design: Design) -> "CableGeometry":
+        """The geometry of those for whom `design` is."""
         s = design.system
         used = np.arange(s.length.shape[1])[None, :] < s.n_links[:, None]
         lengths = np.asarray(np.where(used, s.length, 0.0).sum(axis=1))

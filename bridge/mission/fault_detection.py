@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bridge.mission.observation import Sight
+from bridge.mission.observation import Observation
 from cablequad.types import Array
 
 NO_FOLLOW_RAD, NO_FOLLOW_S = 0.7, 0.2
@@ -24,7 +24,7 @@ class Loss(NamedTuple):
     sound: bool  # it flies, and may land by itself
 
 
-class Losses:
+class FaultDetector:
     """What is wrong with each vehicle, and since when."""
 
     def __init__(self) -> None:
@@ -34,7 +34,7 @@ class Losses:
         self,
         now: float,
         members: list[int],
-        sight: Sight,
+        observation: Observation,
         ends: Array,
         lengths: Array,
         R_c: Array | None,
@@ -47,19 +47,19 @@ class Losses:
         `R_c` (n, 3, 3) is what was commanded last. `departed` tells by vehicle when to act and why, `astray` who does
         not know where it is. Where cables need not be `taut` a vehicle may be near its end of one.
         """
-        far = np.linalg.norm(sight.x - ends, axis=1)
+        far = np.linalg.norm(observation.x - ends, axis=1)
         for own, k in enumerate(members):
             act_at, why = departed.get(k, (math.inf, ""))
             loss, wait = Loss(own, why, False, True), 0.0
             if now < act_at:
-                trusted = k not in astray and sight.x_age_s[own] < FRESH_S
+                trusted = k not in astray and observation.x_age_s[own] < FRESH_S
                 told = far[own] if trusted else lengths[own]
-                loss, wait = _seen(own, float(told), float(lengths[own]), R_c, sight.state.R, taut)
+                loss, wait = _seen(own, float(told), float(lengths[own]), R_c, observation.state.R, taut)
             if not loss.why:
                 self._since.pop(k, None)
             elif now - self._since.setdefault(k, now) >= wait:
-                silent = int(np.argmax(sight.x_age_s))
-                age_s = float(sight.x_age_s[silent])
+                silent = int(np.argmax(observation.x_age_s))
+                age_s = float(observation.x_age_s[silent])
                 if age_s > SILENT_S and now < act_at:  # where the others are is its doing
                     return Loss(
                         silent, f"nothing heard of it for {age_s:.1f} s, and the load does not hang", False, False

@@ -53,8 +53,8 @@ def bare(design: Design, rest: list[int]) -> Design:
     return design._replace(
         system=system, airframe=air, u_star=u,
         K_x=np.zeros((len(rows), D)), K_xdot=np.zeros((len(rows), D)), K_phi=np.zeros((len(rows), 2 * m)),
-        K_phidot=np.zeros((len(rows), 2 * m)), K_way=np.zeros((len(rows), len(rows) * design.delay)),
-        K_lasting=np.zeros((len(rows), 6)), b1=design.b1[rest].copy(),
+        K_phidot=np.zeros((len(rows), 2 * m)), K_pending=np.zeros((len(rows), len(rows) * design.delay)),
+        K_integral=np.zeros((len(rows), 6)), b1=design.b1[rest].copy(),
         hanging=hanging._replace(
             q=hanging.q[rest, :L].copy(), omega=hanging.omega[rest, :L].copy(), R=hanging.R[rest].copy(),
             Omega=hanging.Omega[rest].copy(),
@@ -96,7 +96,11 @@ def expanded(sample: Sample, members: list[int], whole: Design) -> Sample:
     )  # fmt: skip
     m = sample.memory
     memory = Memory(
-        put(blank.R_c, m.R_c, 1), put(0.0 * blank.f, m.f, 1), put(blank.under_way, m.under_way, 1), m.lasting, m.calm
+        put(blank.R_c, m.R_c, 1),
+        put(0.0 * blank.f, m.f, 1),
+        put(blank.pending, m.pending, 1),
+        m.integral,
+        m.damping_share,
     )
     D = 6 + 2 * int(whole.system.n_links.sum())
     x, x_dot = np.zeros(D), np.zeros(D)

@@ -19,7 +19,7 @@ class Guard(NamedTuple):
     lasts_s: float  # how long it must be broken before anything is done
 
 
-class Reading(NamedTuple):
+class GuardInputs(NamedTuple):
     """What guards look at, of one instant."""
 
     x: Array  # (n, 3) m, vehicles
@@ -37,7 +37,7 @@ class Reading(NamedTuple):
 UPPER = frozenset({"tension_N", "tilt_deg", "load_tilt_deg", "outside_fence_m", "state_age_s", "off_plan_m"})
 
 
-def readings(r: Reading) -> dict[str, float]:
+def guard_values(r: GuardInputs) -> dict[str, float]:
     """Every figure by its guard's name."""
     return {
         "tension_N": float(np.nanmax(r.tension)) if np.isfinite(r.tension).any() else 0.0,
@@ -69,22 +69,22 @@ def _tilt(R: Array) -> float:
     return float(np.degrees(np.arccos(np.clip(R[:, 2, 2], -1.0, 1.0))).max())
 
 
-class Broken(NamedTuple):
+class GuardViolation(NamedTuple):
     """A guard that is broken, since when, and by how much."""
 
     guard: Guard
     value: float
 
 
-class Watch:
+class GuardMonitor:
     """The guards over time; each tells once when it breaks and once when it holds again."""
 
     def __init__(self, guards: tuple[Guard, ...]) -> None:
         self._guards = guards
         self._since: dict[str, float] = {}
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
 
-    def look(self, now: float, values: dict[str, float]) -> tuple[list[Broken], list[Guard]]:
+    def look(self, now: float, values: dict[str, float]) -> tuple[list[GuardViolation], list[Guard]]:
         """Guards that break now, and those that hold again."""
         broken, healed = [], []
         for g in self._guards:
@@ -92,10 +92,10 @@ class Watch:
             bad = value > g.limit if g.name in UPPER else value < g.limit
             if not bad:
                 self._since.pop(g.name, None)
-                if g.name in self._told:
-                    self._told.discard(g.name)
+                if g.name in self._reported:
+                    self._reported.discard(g.name)
                     healed.append(g)
-            elif g.name not in self._told and now - self._since.setdefault(g.name, now) >= g.lasts_s:
-                self._told.add(g.name)
-                broken.append(Broken(g, value))
+            elif g.name not in self._reported and now - self._since.setdefault(g.name, now) >= g.lasts_s:
+                self._reported.add(g.name)
+                broken.append(GuardViolation(g, value))
         return broken, healed

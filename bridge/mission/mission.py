@@ -12,18 +12,18 @@ from typing import Any
 import numpy as np
 
 from bridge.fleet.fleet import Fleet
-from bridge.mission.cable_geometry import Rig, yaw_of
-from bridge.mission.fault_detection import Loss, Losses
+from bridge.mission.cable_geometry import CableGeometry, yaw_of
+from bridge.mission.fault_detection import FaultDetector, Loss
 from bridge.mission.fleet_subset import bare, blind, static_shares
-from bridge.mission.guards import Reading, Watch, outside_fence, readings, separation
-from bridge.mission.observation import Sight
-from bridge.mission.per_vehicle import SHARE_S, Each, clear_of
+from bridge.mission.guards import GuardInputs, GuardMonitor, guard_values, outside_fence, separation
+from bridge.mission.observation import Observation
+from bridge.mission.per_vehicle import SHARE_S, SingleVehicles, clear_of
 from bridge.mission.phases import FLYING, LOADED, RULES, Phase
 from bridge.mission.plan import MissionPlan
 from bridge.mission.plan_clock import PlanClock
-from bridge.mission.preflight_checks import unready
+from bridge.mission.preflight_checks import preflight_faults
 from bridge.wire.dialect import mavlink
-from cablequad.control.control_step import Measurement, Sample, first_memory, tick
+from cablequad.control.control_step import Measurement, Sample, control_step, first_memory
 from cablequad.control.design import Design
 from cablequad.control.estimator import Filter
 from cablequad.control.single_vehicle import Goals
@@ -49,7 +49,7 @@ Until = Callable[[], bool]
 Script = Callable[["Mission"], Coroutine[Any, Any, None]]
 
 
-class Waiting:
+class Wait:
     """What a script awaits."""
 
     def __init__(self, until: Until) -> None:
@@ -106,20 +106,20 @@ class Mission:
         self._script: Coroutine[Any, Any, None] = script(self)
         self._until: Until | None = None
         self._running: Coroutine[Any, Any, None] | None = None  # the script that is being asked
-        self._watch = Watch(plan.guards)
-        self._losses = Losses()
-        self._each = Each(n, period_s)
+        self._monitor = GuardMonitor(plan.guards)
+        self._faults = FaultDetector()
+        self._singles = SingleVehicles(n, period_s)
         self._memory = first_memory(self.design)
         self._R_before = np.tile(np.eye(3), (n, 1, 1))
         self._track: Trajectory = still([0.0, 0.0, 0.0, 0.0])
-        self._heard: Sight | None = None
+        self._heard: Observation | None = None
         self._last: Sample | None = None
         self._as_planned = True
-        self._rig = Rig.of(self.design)
+        self._geometry = CableGeometry.of(self.design)
 
     # -- what scripts ask ----------------------------------------------------------------------------------------------
 
-    def begin(self, phase: Phase, to: list[float] | None = None) -> Waiting:
+    def begin(self, phase: Phase, to: list[float] | None = None) -> Wait:
         """Start a phase; await what comes back for its end. Raises MissionError where it may not follow."""
         if self.phase not in RULES[phase].after and not self._aborted:
             here = "the start" if self.phase is None else f"phase {self.phase}"
@@ -130,7 +130,7 @@ class Mission:
         if to is not None and not self._aborted:
             self._reachable(phase, to)
         self._enter(phase, to)
-        return Waiting(lambda: self.phase_done)
+        return Wait(lambda: self.phase_done)
 
     def _reachable(self, phase: Phase, to: list[float]) -> None:
         """Raise MissionError where the load cannot be brought to x, y, z (m), yaw (rad), before anything moves."""
@@ -141,7 +141,7 @@ class Mission:
                 "negative"
             )
         hung = self.here.state._replace(x0=np.array(to[:3]), R0=lie.exp(np.array([0.0, 0.0, to[3]])) @ self.plan.hangs)
-        outside = outside_fence(self.plan.fence, [np.array(to[:3]), *self._rig.above(hung, 1.0)])
+        outside = outside_fence(self.plan.fence, [np.array(to[:3]), *self._geometry.above(hung, 1.0)])
         if outside > 0.0:
             raise MissionError(
                 f"{phase} to {where}: the load or a vehicle above it would be {outside:.1f} m outside the fence"
@@ -153,12 +153,12 @@ class Mission:
                 f"{limit:g} s (mission.limits_s)"
             )
 
-    def wait(self, seconds: float) -> Waiting:
+    def wait(self, seconds: float) -> Wait:
         """For a while, on the vehicles' clock."""
         end = self.now + seconds
-        return Waiting(lambda: self.now >= end - 1e-9)
+        return Wait(lambda: self.now >= end - 1e-9)
 
-    def tilt(self, turn: list[float], seconds: float) -> Waiting:
+    def tilt(self, turn: list[float], seconds: float) -> Wait:
         """Turn every vehicle by a rotation vector (rad, of its body) beyond what it is commanded, for a while.
 
         Raises MissionError where they do not hover on slack cables.
@@ -213,7 +213,7 @@ class Mission:
             if self.phase is not Phase.SET_DOWN:
                 await self.begin(Phase.SET_DOWN, self._below())
             else:
-                await Waiting(lambda: self.phase_done)
+                await Wait(lambda: self.phase_done)
             await self.begin(Phase.RELEASE)
         elif self.phase is Phase.TENSION:
             await self.begin(Phase.RELEASE)
@@ -227,11 +227,11 @@ class Mission:
 
     # -- one decision --------------------------------------------------------------------------------------------------
 
-    def answer(self, t: float, now: float, sight: Sight) -> Sample:
-        """The decision for what is known of `now` (s of the vehicles' clock); `sight` is of the members."""
-        self.now, self._heard = now, sight
+    def answer(self, t: float, now: float, observation: Observation) -> Sample:
+        """The decision for what is known of `now` (s of the vehicles' clock); `observation` is of the members."""
+        self.now, self._heard = now, observation
         self._entered += self._clock.tick()
-        self._look_out(sight)
+        self._look_out(observation)
         if self.phase is not None and not self.phase_done and self._over(self.here):
             self.phase_done = True
         self._run_script()
@@ -273,19 +273,19 @@ class Mission:
             case Phase.TAKE_OFF:
                 x = instant.x
                 up = [[*p[:2], p[2] - CLEAR_M, 0.0] for p in x.tolist()]
-                slack = self._rig.above(self.here.state, self.plan.slack)
+                slack = self._geometry.above(self.here.state, self.plan.slack)
                 limits = self._slow(self.plan.take_off_speed)
-                self._each.go(
+                self._singles.go(
                     [
                         joined([leg([*a, 0.0], b, limits), leg(b, [*c, 0.0], limits)])
                         for a, b, c in zip(x.tolist(), up, slack.tolist(), strict=True)
                     ]
                 )
-                self._hang(self._rig.chains(0.5), self._rig.chains(0.5))
-                self._each.forget()
+                self._hang(self._geometry.chains(0.5), self._geometry.chains(0.5))
+                self._singles.forget()
             case Phase.TENSION:
-                self._move_to(self._rig.above(self.here.state, 1.0), self.plan.lift_speed)
-                self._hang(self._rig.chains(0.5), self._rig.chains(0.5))
+                self._move_to(self._geometry.above(self.here.state, 1.0), self.plan.lift_speed)
+                self._hang(self._geometry.chains(0.5), self._geometry.chains(0.5))
             case Phase.LIFT:
                 self._memory = first_memory(self.design)
                 start = [*instant.state.x0.tolist(), yaw_of(instant.state, self.plan.hangs)]
@@ -306,12 +306,12 @@ class Mission:
                 slowly = self._slow(self.plan.set_down_speed)
                 self._track = joined([leg(start, near, self._slow(self.plan.lift_speed)), leg(near, low, slowly)])
             case Phase.RELEASE:
-                share = self._shares() if before in LOADED else self._each.hung(self.now)
+                share = self._shares() if before in LOADED else self._singles.hung(self.now)
                 if before in LOADED:
-                    self._each.aim = instant.x.copy()
-                self._move_to(self._each.aim, 1.0)
-                self._hang(np.maximum(share, 0.0), self._rig.chains(0.5))
-                self._each.forget()
+                    self._singles.aim = instant.x.copy()
+                self._move_to(self._singles.aim, 1.0)
+                self._hang(np.maximum(share, 0.0), self._geometry.chains(0.5))
+                self._singles.forget()
             case Phase.LAND:
                 self._touched_at = None
                 R0, x0 = self.here.state.R0, self.here.state.x0
@@ -320,37 +320,39 @@ class Mission:
                 spots[:, 2] = self.plan.rest_z + self.plan.stands[self.members][:, 2]
                 limits, down = self._slow(self.plan.take_off_speed), self._slow(self.plan.set_down_speed)
                 ways = []
-                for a, b in zip(self._each.aim.tolist(), spots.tolist(), strict=True):
+                for a, b in zip(self._singles.aim.tolist(), spots.tolist(), strict=True):
                     over, low = [*b[:2], b[2] - CLEAR_M, 0.0], [*b[:2], b[2] + BELOW_M, 0.0]
                     ways.append(joined([leg([*a, 0.0], over, limits), leg(over, low, down)]))
-                self._each.go(ways)
+                self._singles.go(ways)
             case Phase.DISARM:
                 self.fleet.disarm(self.now)
             case _:
                 pass
 
-    def _over(self, i: Sight) -> bool:
+    def _over(self, i: Observation) -> bool:
         """Whether the phase's end has come."""
         match self.phase:
             case Phase.PREFLIGHT:
-                return not unready(i, self._rig, self.plan, self.fleet)
+                return not preflight_faults(i, self._geometry, self.plan, self.fleet)
             case Phase.ARM:
                 return self.fleet.flying
             case Phase.TAKE_OFF:
-                ready = self._clock.time >= SPIN_UP_S + self._each.duration
+                ready = self._clock.time >= SPIN_UP_S + self._singles.duration
                 return ready and self._rest(
-                    float(np.linalg.norm(i.x - self._rig.above(self.here.state, self.plan.slack), axis=1).max()), i.v
+                    float(np.linalg.norm(i.x - self._geometry.above(self.here.state, self.plan.slack), axis=1).max()),
+                    i.v,
                 )
             case Phase.TENSION:
-                reached = self._clock.time >= self._each.duration
-                far = np.linalg.norm(i.x - self._rig.ends(self.here.state), axis=1)
-                straight = bool((far > STRAIGHT * self._rig.length).all())
+                reached = self._clock.time >= self._singles.duration
+                far = np.linalg.norm(i.x - self._geometry.ends(self.here.state), axis=1)
+                straight = bool((far > STRAIGHT * self._geometry.length).all())
                 if reached and straight and not self._taking:
                     self._hang(
-                        self._each.hung(self.now), self._rig.chains(1.0) + self.plan.pretension * self._rig.bears
+                        self._singles.hung(self.now),
+                        self._geometry.chains(1.0) + self.plan.pretension * self._geometry.bears,
                     )
                     self._taking = True
-                return self._taking and straight and self._each.handed_over(self.now)
+                return self._taking and straight and self._singles.handed_over(self.now)
             case Phase.LIFT | Phase.CARRY:
                 end = self.led
                 off = math.dist(i.state.x0.tolist(), end[:3])
@@ -362,8 +364,8 @@ class Mission:
                     return False
                 if not self._taking:
                     self._taking = True
-                    self._move_to(self._rig.above(self.here.state, self.plan.slack), self.plan.lift_speed)
-                reached = self._clock.time >= self._each.duration
+                    self._move_to(self._geometry.above(self.here.state, self.plan.slack), self.plan.lift_speed)
+                reached = self._clock.time >= self._singles.duration
                 return reached and self._rest(float(np.linalg.norm(i.x - self._goals().x, axis=1).max()), i.v)
             case Phase.LAND:
                 if self._touched_at is None and self._on_feet(i):
@@ -392,12 +394,12 @@ class Mission:
 
     # -- control -------------------------------------------------------------------------------------------------------
 
-    def _fly(self, t: float, i: Sight) -> Sample:
+    def _fly(self, t: float, i: Observation) -> Sample:
         loaded = self.hanging
         flown = loaded and self.released
         reference = self._reference() if loaded and self.phase in LOADED else self._at_rest(i)
         memory = self._memory
-        after, sample = tick(memory, Measurement(t, i.state, held=not flown), reference, self.design)
+        after, sample = control_step(memory, Measurement(t, i.state, restrained=not flown), reference, self.design)
         if loaded:
             if not math.isfinite(float(sample.A.sum()) + float(sample.f.sum()) + float(sample.R_c.sum())):
                 sample = self._as_before(sample)
@@ -405,11 +407,11 @@ class Mission:
             self._memory = after
             self._R_before = sample.R_c
         else:
-            each = self._each.fly(self.design, i.x, i.v, i.state.R, self._goals(), self._R_before)
-            self._R_before = each.R_c
+            alone = self._singles.fly(self.design, i.x, i.v, i.state.R, self._goals(), self._R_before)
+            self._R_before = alone.R_c
             tilted = self.now < self._tilted_until - 1e-9
             sample = sample._replace(
-                A=each.A, R_c=each.R_c @ self._tilt if tilted else each.R_c, f=each.f, Psi=each.Psi
+                A=alone.A, R_c=alone.R_c @ self._tilt if tilted else alone.R_c, f=alone.f, Psi=alone.Psi
             )
         return sample
 
@@ -439,7 +441,7 @@ class Mission:
         turn = np.array([r.yaw[0], k * r.yaw[1], k * k * r.yaw[2]])
         return Reference(r.x0, k * r.v0, k**2 * r.a0, k**3 * r.j0, k**4 * r.s0, turn)
 
-    def _at_rest(self, i: Sight) -> Reference:
+    def _at_rest(self, i: Observation) -> Reference:
         return at(still([*i.state.x0.tolist(), yaw_of(i.state, self.plan.hangs)]), 0.0)
 
     def _goals(self) -> Goals:
@@ -455,15 +457,15 @@ class Mission:
                 power = max(0.0, 0.6 - (self.now - self._touched_at))
             case _:
                 pass
-        return self._each.goals(self.here.x, self.now, self._clock.time - spun, self._clock.rate, power)
+        return self._singles.goals(self.here.x, self.now, self._clock.time - spun, self._clock.rate, power)
 
     def _hang(self, before: Array, after: Array) -> None:
-        self._each.hang(before, after, self.now)
+        self._singles.hang(before, after, self.now)
         self._taking = False
 
     def _move_to(self, x: Array, speed: float) -> None:
         """Every vehicle on a straight way from where it was to be to `x`."""
-        self._each.straight_to(x, self._slow(speed))
+        self._singles.straight_to(x, self._slow(speed))
         self._clock.time = 0.0
 
     def _slow(self, speed: float) -> Limits:
@@ -479,7 +481,7 @@ class Mission:
         return x, y, z
 
     @property
-    def here(self) -> Sight:
+    def here(self) -> Observation:
         """What is known of this instant."""
         assert self._heard is not None
         return self._heard
@@ -489,8 +491,8 @@ class Mission:
     def _shares(self) -> Array:
         """(n,) N: what hung on each vehicle by the last command."""
         if self._last is None or self.by_itself:
-            return self._each.hung(self.now)
-        return -self._rig.pulled(self._last)[:, 2]
+            return self._singles.hung(self.now)
+        return -self._geometry.pulled(self._last)[:, 2]
 
     @property
     def led(self) -> list[float]:
@@ -511,7 +513,7 @@ class Mission:
         self._still_since = self.now if self._still_since is None else self._still_since
         return self.now - self._still_since >= STILL_S
 
-    def _stands(self, i: Sight) -> bool:
+    def _stands(self, i: Observation) -> bool:
         """Whether the load has come to stand: led further down than it goes."""
         low = abs(float(i.state.x0[2]) - self.plan.rest_z) < NEAR_M
         if low and self.touch_down_m_s is None and float(i.state.x0[2]) > self.plan.rest_z - 0.02:
@@ -524,7 +526,7 @@ class Mission:
         self._still_since = self.now if self._still_since is None else self._still_since
         return self.now - self._still_since >= 0.2
 
-    def _on_feet(self, i: Sight) -> bool:
+    def _on_feet(self, i: Observation) -> bool:
         goals = self._goals()
         pushed = goals.x[:, 2] - i.x[:, 2] > PUSHED_M
         slow = np.linalg.norm(i.v, axis=1) < SLOW_M_S
@@ -532,13 +534,13 @@ class Mission:
 
     # -- what goes wrong -----------------------------------------------------------------------------------------------
 
-    def tensions(self, i: Sight) -> Array:
+    def tensions(self, i: Observation) -> Array:
         """(members,) N: at the load as the tracker tells, or what vehicles give beyond their weight."""
         if self._last is None or np.isfinite(i.tension).all():
             return i.tension
-        return np.asarray(np.linalg.norm(self._rig.pulled(self._last), axis=1))
+        return np.asarray(np.linalg.norm(self._geometry.pulled(self._last), axis=1))
 
-    def _look_out(self, i: Sight) -> None:
+    def _look_out(self, i: Observation) -> None:
         if self.phase not in FLYING:
             return
         tension = self.tensions(i)
@@ -548,11 +550,11 @@ class Mission:
         reserve = 1.0 if self._last is None else float((1.0 - self._last.f / self.design.airframe.max_thrust).min())
         batteries = [self.fleet.batteries[k] for k in self.members]
         off = math.dist(i.state.x0.tolist(), self._reference().x0.tolist()) if self._on_plan else 0.0
-        reading = Reading(
+        reading = GuardInputs(
             i.x, i.state.R, i.state.x0, i.state.R0, tension, reserve, i.age_s, off, min(batteries),
             self.plan.fence,
         )  # fmt: skip
-        broken, healed = self._watch.look(self.now, readings(reading))
+        broken, healed = self._monitor.look(self.now, guard_values(reading))
         for b in broken:
             action = b.guard.action if self.plan.protect else "warn"
             self._tell("guard", b.guard.name, f"{b.value:.3g}, limit {b.guard.limit:g}: {action}")
@@ -570,9 +572,9 @@ class Mission:
                     self._lose(Loss(self.members.index(k), why, off=False, sound=True))
         if self.plan.protect and self.phase in LOADED:
             R_c = None if self._last is None else self._last.R_c
-            loss = self._losses.look(
-                self.now, self.members, i, self._rig.ends(self.here.state), self._rig.length, R_c, not self.by_itself,
-                self.fleet.departed, self.fleet.astray,
+            loss = self._faults.look(
+                self.now, self.members, i, self._geometry.ends(self.here.state), self._geometry.length, R_c,
+                not self.by_itself, self.fleet.departed, self.fleet.astray,
             )  # fmt: skip
             if loss is not None:
                 self._lose(loss)
@@ -593,9 +595,9 @@ class Mission:
         self.design = planned if planned is not None else bare(whole, self.members)
         if planned is None and self.filters:
             self.filters[gone] = blind(self.design)
-        self._rig = Rig.of(self.design)
+        self._geometry = CableGeometry.of(self.design)
         self._heard = self.here.of(rest, self.design)
-        self._each.keep(self.here.x)
+        self._singles.keep(self.here.x)
         self._R_before = self._R_before[rest].copy()
         self._memory, self._last = first_memory(self.design), None
         if self.phase in SLACK:
@@ -605,13 +607,13 @@ class Mission:
             self.abort(f"vehicle {k + 1}: {loss.why}; the others land")
             return
         off = self.plan.hooks or loss.off
-        if off and not self.by_itself and self._rig.can_carry():
+        if off and not self.by_itself and self._geometry.can_carry():
             self._tell("crew", "all", f"{len(rest)} vehicles carry the load on")
             return
         self._tell("crew", "all", f"{len(rest)} vehicles cannot carry the load on; they set it down")
         self.by_itself = True
         depth = max(0.0, self.plan.rest_z + BELOW_M - float(self.here.state.x0[2]))
-        self._each.go([sink([*x, 0.0], depth, EMERGENCY_M_S) for x in self.here.x.tolist()])
+        self._singles.go([sink([*x, 0.0], depth, EMERGENCY_M_S) for x in self.here.x.tolist()])
         self._clock.time = 0.0
         hung = static_shares(self.design.system, self.here.state.R0)
         self._hang(hung, hung)
@@ -622,7 +624,7 @@ class Mission:
     def _timed_out(self) -> None:
         text = f"phase {self.phase} took more than {self.plan.limits_s[self.phase]:g} s"  # type: ignore[index]
         if self.phase is Phase.PREFLIGHT:
-            text += ": " + "; ".join(unready(self.here, self._rig, self.plan, self.fleet))
+            text += ": " + "; ".join(preflight_faults(self.here, self._geometry, self.plan, self.fleet))
         if self._aborted or self.phase in (Phase.SET_DOWN, Phase.RELEASE, Phase.LAND, Phase.DISARM):
             self.failure = self.failure or text
             self._tell("abort", "all", text)

@@ -8,7 +8,7 @@ from cablequad.model.state import State
 from cablequad.types import Array
 
 
-class Sight(NamedTuple):
+class Observation(NamedTuple):
     """Of those that are not lost."""
 
     state: State
@@ -18,9 +18,9 @@ class Sight(NamedTuple):
     v: Array  # (n, 3) m/s, W
     x_age_s: Array  # (n,) s, how old that word is
 
-    def of(self, rest: list[int], design: Design) -> "Sight":
+    def of(self, rest: list[int], design: Design) -> "Observation":
         """What is known of some of them, for whom `design` is."""
-        return Sight(
+        return Observation(
             state_of(self.state, rest, design), self.tension[rest], self.age_s, self.x[rest], self.v[rest],
             self.x_age_s[rest],
         )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Vehicles that fly each by itself, one goal a vehicle: their ways, and what hangs on them meanwhile."""
+"""Vehicles that fly each by itself, one goal a vehicle: their routes, and what hangs on them meanwhile."""
 
 import numpy as np
 
@@ -44,37 +44,37 @@ def _room(things: list[Array], spot: Array) -> float:
     return min((float(np.hypot(*(thing - spot)[:2])) for thing in things), default=float("inf"))
 
 
-class Each:
-    """The ways, integrals and shares of n vehicles."""
+class SingleVehicles:
+    """The routes, integrals and shares of n vehicles."""
 
     def __init__(self, n: int, period_s: float) -> None:
         self.aim = np.zeros((n, 3))  # m: where they were to be last
         self._period = period_s
-        self._ways: list[Trajectory] = []
-        self._lasting = np.zeros((n, 3))
+        self._routes: list[Trajectory] = []
+        self._integral = np.zeros((n, 3))
         self._before = self._after = np.zeros(n)
         self._since = 0.0
 
     def keep(self, x: Array) -> None:
         """Only those that are at x (m, 3) m are left."""
-        self.aim, self._lasting, self._ways = x.copy(), np.zeros_like(x), []
+        self.aim, self._integral, self._routes = x.copy(), np.zeros_like(x), []
 
     @property
     def duration(self) -> float:
         """s until the last has come to the end of its way."""
-        return max(way.duration for way in self._ways)
+        return max(route.duration for route in self._routes)
 
-    def go(self, ways: list[Trajectory]) -> None:
+    def go(self, routes: list[Trajectory]) -> None:
         """Along these."""
-        self._ways = ways
+        self._routes = routes
 
     def straight_to(self, x: Array, limits: Limits) -> None:
         """From where they were to be straight to `x` (n, 3) m."""
-        self._ways = [leg([*a, 0.0], [*b, 0.0], limits) for a, b in zip(self.aim.tolist(), x.tolist(), strict=True)]
+        self._routes = [leg([*a, 0.0], [*b, 0.0], limits) for a, b in zip(self.aim.tolist(), x.tolist(), strict=True)]
 
     def forget(self) -> None:
         """What integrals held is of a flight that is over."""
-        self._lasting[:] = 0.0
+        self._integral[:] = 0.0
 
     def hang(self, before: Array, after: Array, now: float) -> None:
         """What hangs on them, (n,) N, goes from one to the other."""
@@ -94,13 +94,13 @@ class Each:
         n = len(x)
         out = Goals(x.copy(), np.zeros((n, 3)), np.zeros((n, 3)), self.hung(now), np.full(n, power))
         if power >= 1.0:
-            for k, way in enumerate(self._ways):
-                r = at(way, tau)
+            for k, route in enumerate(self._routes):
+                r = at(route, tau)
                 out.x[k], out.v[k], out.a[k] = r.x0, rate * r.v0, rate * rate * r.a0
         return out
 
     def fly(self, design: Design, x: Array, v: Array, R: Array, goals: Goals, R_before: Array) -> Flown:
         """What is commanded of vehicles at x, v (n, 3), R (n, 3, 3)."""
         self.aim = goals.x
-        self._lasting = integrated(self._lasting, x, goals, self._period)
-        return fly_each(design, x, v, R, self._lasting, goals, R_before)
+        self._integral = integrated(self._integral, x, goals, self._period)
+        return fly_each(design, x, v, R, self._integral, goals, R_before)

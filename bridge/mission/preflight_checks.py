@@ -3,19 +3,19 @@
 import numpy as np
 
 from bridge.fleet.fleet import Fleet
-from bridge.mission.cable_geometry import Rig
-from bridge.mission.observation import Sight
+from bridge.mission.cable_geometry import CableGeometry
+from bridge.mission.observation import Observation
 from bridge.mission.plan import MissionPlan
 
 NEAR_M = 0.12
 
 
-def unready(i: Sight, rig: Rig, plan: MissionPlan, fleet: Fleet) -> list[str]:
+def preflight_faults(i: Observation, geometry: CableGeometry, plan: MissionPlan, fleet: Fleet) -> list[str]:
     """What the preflight checks find wrong, one line each."""
     silent = np.flatnonzero(~np.isfinite(i.x[:, 0])).tolist()
     if silent:
         return [f"vehicle {k + 1} tells no position" for k in silent]
-    far, long = np.linalg.norm(i.x - rig.ends(i.state), axis=1), rig.length
+    far, long = np.linalg.norm(i.x - geometry.ends(i.state), axis=1), geometry.length
     out = [
         f"vehicle {k + 1} is {far[k]:.2f} m from its end of the cable, which is {long[k]:.2f} m long"
         for k in np.flatnonzero(far > long + NEAR_M).tolist()

@@ -1,6 +1,6 @@
 """Many messages framed at once, by compiled code: what is said at every tick.
 
-A sheet is laid out once, a row for each message, and filled in tick after tick. Frames are byte for byte those of
+A batch is laid out once, a row for each message, and filled in tick after tick. Frames are byte for byte those of
 `frames.frame`.
 """
 
@@ -20,7 +20,7 @@ HEADER, CHECKSUM = 10, 2
 PAYLOAD = 255  # bytes at most
 
 
-class Sheet:
+class Batch:
     """k messages: what is in them stands in the rows of `payload`, trailing zeros and all."""
 
     def __init__(self, messages: Sequence[Packed]) -> None:

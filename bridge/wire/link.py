@@ -10,10 +10,10 @@ from collections import deque
 from collections.abc import Collection, Sequence
 from typing import Any, NamedTuple
 
-from bridge.wire.batches import Sheet
+from bridge.wire.batches import Batch
 from bridge.wire.frames import SIGNED, Packed, Signer, Verdict, checksum, frame, targeted
 from bridge.wire.messages import KINDS
-from bridge.wire.poller import Watch
+from bridge.wire.poller import Poller
 from bridge.wire.ports import Address, Endpoint, LinkError, Port, StreamPort, open_port
 
 __all__ = ["Address", "Counters", "Endpoint", "Link", "LinkError", "Mishandled", "Received"]
@@ -83,7 +83,7 @@ class Link:
         self.ports: list[Port] = []
         self.counters = Counters(len(endpoints))
         self.signer = signer
-        self._watch = Watch()
+        self._poller = Poller()
         self._next_seq: dict[int, int] = {}  # by port, system and component
         self._last_seq: dict[tuple[int, Address], int] = {}
         self._queue: dict[tuple[int, Address], list[bytes]] = {}
@@ -93,7 +93,7 @@ class Link:
         self._sent: dict[tuple[int, Address], deque[tuple[bytes, int]]] = {}  # the last datagrams, and their frames
         try:
             for index, endpoint in enumerate(endpoints):
-                self.ports.append(open_port(endpoint, self._watch, index))
+                self.ports.append(open_port(endpoint, self._poller, index))
             self._streams = [port for port in self.ports if isinstance(port, StreamPort)]
         except BaseException:
             self.close()
@@ -119,7 +119,7 @@ class Link:
         for stream in self._streams:
             stream.tend(now)
         out: list[Received] = []
-        ready = self._watch.ready(max(0.0, timeout))
+        ready = self._poller.ready(max(0.0, timeout))
         rounds = 0
         while ready and rounds < MOST_ROUNDS:
             for index, read_from in ready:
@@ -132,11 +132,11 @@ class Link:
                         port.learn(address)
                         out += frames
             # asking once whether there is more costs less than being told by every socket that there is none
-            ready = self._watch.ready(0.0)
+            ready = self._poller.ready(0.0)
             if not ready and closing is not None:
                 waits_on, closing = self.ports[closing].listening(), None
                 if waits_on and select.select(waits_on, (), (), GRACE_S)[0]:
-                    ready = self._watch.ready(0.0)
+                    ready = self._poller.ready(0.0)
             rounds += 1
         return out
 
@@ -153,11 +153,11 @@ class Link:
         return seq, whole
 
     def put_all(
-        self, routes: Sequence[tuple[int, Address | None]], systems: bytes, component: int, sheet: Sheet
+        self, routes: Sequence[tuple[int, Address | None]], systems: bytes, component: int, batch: Batch
     ) -> list[bytes]:
-        """`put` of a sheet's first messages, one for each route, on its port as its system, for its address."""
+        """`put` of a batch's first messages, one for each route, on its port as its system, for its address."""
         seqs = bytes([self._numbered(port, who, component) for (port, _), who in zip(routes, systems, strict=True)])
-        frames = sheet.framed(seqs, systems, component, 0 if self.signer is None else SIGNED)
+        frames = batch.framed(seqs, systems, component, 0 if self.signer is None else SIGNED)
         if self.signer is not None:
             sign = self.signer.signature
             frames = [whole + sign(whole, port & 255) for (port, _), whole in zip(routes, frames, strict=True)]
@@ -191,7 +191,7 @@ class Link:
         """Send what waits and release the sockets."""
         if self.ports:
             self.flush()
-        self._watch.close()
+        self._poller.close()
         for port in self.ports:
             port.close()
 

@@ -36,7 +36,7 @@ class Faults(NamedTuple):
         return self._replace(burst_frames=10.0) == Faults()
 
 
-class Tally:
+class FaultCounts:
     """What became of the frames: offered + duplicated = passed + lost + waiting."""
 
     def __init__(self) -> None:
@@ -52,7 +52,7 @@ class Channel(Generic[Item]):
 
     def __init__(self, faults: Faults, rng: np.random.Generator) -> None:
         self.faults = faults
-        self.tally = Tally()
+        self.tally = FaultCounts()
         self.released_us: int | None = None  # when the clock of `cuts_us` began
         self._rng = rng
         self._heap: list[tuple[int, int, Item]] = []

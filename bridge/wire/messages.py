@@ -11,7 +11,7 @@ from bridge.wire.dialect import CABLE_STATE, Kind, mavlink
 from bridge.wire.frames import Packed, fields, frame, pack, packed, payload_of
 from bridge.wire.values import (
     AttitudeTarget,
-    Battery,
+    BatteryStatus,
     CableShape,
     Command,
     CommandAck,
@@ -287,8 +287,8 @@ def _read_origin(m: Any) -> Origin:
     return Origin(m.latitude * 1e-7, m.longitude * 1e-7, m.altitude * 1e-3)
 
 
-def _read_battery(m: Any) -> Battery:
-    return Battery(m.battery_remaining / 100)
+def _read_battery(m: Any) -> BatteryStatus:
+    return BatteryStatus(m.battery_remaining / 100)
 
 
 def _read_fix(m: Any) -> GpsFix:

@@ -31,7 +31,7 @@ _EPOLL: Any = getattr(select, "epoll", None)
 _READ = getattr(select, "EPOLLIN", 0)
 
 
-class Watch:
+class Poller:
     """Sockets that are waited on together, each with the index of the port that it belongs to."""
 
     def __init__(self) -> None:

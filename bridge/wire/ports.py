@@ -4,7 +4,7 @@ import socket
 from collections import OrderedDict
 from typing import NamedTuple
 
-from bridge.wire.poller import Watch
+from bridge.wire.poller import Poller
 
 Address = tuple[str, int]
 
@@ -62,7 +62,7 @@ class Endpoint(NamedTuple):
 class DatagramPort:
     """One UDP socket."""
 
-    def __init__(self, endpoint: Endpoint, watch: Watch, index: int) -> None:
+    def __init__(self, endpoint: Endpoint, poller: Poller, index: int) -> None:
         self.endpoint = endpoint
         self.peers: OrderedDict[Address, None] = OrderedDict()
         self.heard = endpoint.peer is not None  # whether somebody may be there
@@ -75,7 +75,7 @@ class DatagramPort:
         peer = endpoint.peer
         here = endpoint.bind or ("127.0.0.1" if peer is not None and peer[0] == "127.0.0.1" else "", 0)
         bind(self.socket, here, "udp")
-        watch.add(self.socket, index)
+        poller.add(self.socket, index)
 
     def receive(self, ready: socket.socket) -> list[tuple[Address, bytes]]:
         """The datagram that waited longest, whole by itself."""
@@ -124,9 +124,9 @@ class DatagramPort:
 class StreamPort:
     """TCP: a listener and its clients, or a client that reconnects by itself."""
 
-    def __init__(self, endpoint: Endpoint, watch: Watch, index: int) -> None:
+    def __init__(self, endpoint: Endpoint, poller: Poller, index: int) -> None:
         self.endpoint = endpoint
-        self._watch, self._index = watch, index
+        self._poller, self._index = poller, index
         self._listener: socket.socket | None = None
         self._clients: dict[Address, socket.socket] = {}
         self._rest: dict[Address, bytes] = {}
@@ -138,7 +138,7 @@ class StreamPort:
             self._listener.setblocking(False)
             bind(self._listener, endpoint.bind, "tcp")
             self._listener.listen(PEERS_KEPT)
-            watch.add(self._listener, index)
+            poller.add(self._listener, index)
 
     def listening(self) -> list[socket.socket]:
         """The sockets that data comes in on."""
@@ -225,22 +225,22 @@ class StreamPort:
         client.setblocking(False)
         client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._clients[address] = client
-        self._watch.add(client, self._index)
+        self._poller.add(client, self._index)
 
     def _drop(self, address: Address) -> None:
         self._rest.pop(address, None)
         self._unsent.pop(address, None)
         client = self._clients.pop(address)
-        self._watch.drop(client)
+        self._poller.drop(client)
         client.close()
 
 
 Port = DatagramPort | StreamPort
 
 
-def open_port(endpoint: Endpoint, watch: Watch, index: int) -> Port:
+def open_port(endpoint: Endpoint, poller: Poller, index: int) -> Port:
     """The port of an endpoint, its sockets watched by `watch`. Raises LinkError for an address that is taken."""
-    return (StreamPort if endpoint.stream else DatagramPort)(endpoint, watch, index)
+    return (StreamPort if endpoint.stream else DatagramPort)(endpoint, poller, index)
 
 
 def bind(new: socket.socket, address: Address, kind: str) -> None:

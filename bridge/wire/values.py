@@ -214,7 +214,7 @@ class Origin(NamedTuple):
     altitude_m: float
 
 
-class Battery(NamedTuple):
+class BatteryStatus(NamedTuple):
     """SYS_STATUS (#1), as far as it is used."""
 
     remaining: float  # 0 .. 1; below 0 where the vehicle does not know
@@ -338,7 +338,7 @@ Value = (
     | StatusText
     | LandedState
     | Origin
-    | Battery
+    | BatteryStatus
     | GpsFix
     | MissionAck
     | FileRefusal

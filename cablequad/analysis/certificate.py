@@ -30,7 +30,7 @@ class AttitudeGains(NamedTuple):
     rate_bound: float  # rad/s, |Omega_ic| is assumed below it
 
 
-class Loop(NamedTuple):
+class TranslationalLoop(NamedTuple):
     """The translational part: A z + B_d (B X + g)."""
 
     A: Array  # (2 D, 2 D)
@@ -79,7 +79,7 @@ class Certificate(NamedTuple):
 
     hurwitz: bool
     spectral_abscissa: float  # 1/s
-    loop: Loop
+    loop: TranslationalLoop
     choices: list[Lyapunov]
     attitude: list[Attitude]
     psi_1_max: float
@@ -106,13 +106,15 @@ def certify(design: Design, weights: Weights, gains: AttitudeGains) -> Certifica
     return Certificate(True, abscissa, loop, choices, attitude, psi_1_max, curve)
 
 
-def _loop(design: Design) -> Loop:
+def _loop(design: Design) -> TranslationalLoop:
     M, G, B = linearize(design.system)
     D = len(M)
     M_inv = np.linalg.inv(M)
     A = np.block([[np.zeros((D, D)), np.eye(D)], [-M_inv @ (G + B @ design.K_x), -M_inv @ B @ design.K_xdot]])
     K_max = max(float(np.linalg.norm(design.K_x, 2)), float(np.linalg.norm(design.K_xdot, 2)))
-    return Loop(A, np.vstack([np.zeros((D, D)), M_inv]), B, K_max, float(np.linalg.norm(design.u_star, axis=1).max()))
+    return TranslationalLoop(
+        A, np.vstack([np.zeros((D, D)), M_inv]), B, K_max, float(np.linalg.norm(design.u_star, axis=1).max())
+    )
 
 
 def _shapes(design: Design, weights: Weights) -> list[tuple[str, Array]]:
@@ -124,7 +126,7 @@ def _shapes(design: Design, weights: Weights) -> list[tuple[str, Array]]:
     return [("I", np.eye(2 * D)), ("LQR cost", Q + K.T @ R @ K), ("LQR state cost", Q), *graded]
 
 
-def _lyapunov(name: str, loop: Loop, Q: Array) -> Lyapunov:
+def _lyapunov(name: str, loop: TranslationalLoop, Q: Array) -> Lyapunov:
     P = linalg.solve_continuous_lyapunov(loop.A.T, -Q)
     lambda_Q = float(np.linalg.eigvalsh(Q)[0])
     c_3 = 2.0 * float(np.linalg.norm(P @ loop.B_d @ loop.B, 2))
@@ -154,7 +156,7 @@ def _psi(alpha: float) -> float:
     return float(a * a / (1.0 + np.sqrt(1.0 - a * a)))
 
 
-def _best(psi_1: float, choices: list[Lyapunov], attitude: list[Attitude], loop: Loop) -> Point:
+def _best(psi_1: float, choices: list[Lyapunov], attitude: list[Attitude], loop: TranslationalLoop) -> Point:
     """The largest gamma for a given psi_1, over the shapes and scales of Q."""
     n = len(attitude)
     alpha = n * np.sqrt(psi_1 * (2.0 - psi_1))

@@ -17,7 +17,7 @@ LOSS_BISECTIONS, MOMENT_STEPS = 7, 300
 WEAK = 1e-3  # a mode whose PBH margin is below this share of the largest is called weakly controllable
 
 
-class Mode(NamedTuple):
+class LinearMode(NamedTuple):
     """An open-loop mode and how far the vehicles' forces can move it."""
 
     pole: complex  # 1/s
@@ -39,7 +39,7 @@ class Margins(NamedTuple):
     delay_ticks_all: int  # whole ticks of extra delay on every input that the loop survives
 
 
-def modes(system: System) -> list[Mode]:
+def modes(system: System) -> list[LinearMode]:
     """Open-loop poles with their PBH margins, the weakest first; conjugates and repeated poles are listed once.
 
     The motion is the one that the forces reach least at that pole: M^-1 times the velocity part of the left singular
@@ -50,14 +50,14 @@ def modes(system: System) -> list[Mode]:
     D = len(M)
     names = coordinate_names(system)
     scale = max(1.0, float(np.abs(np.linalg.eigvals(A)).max()))
-    out: list[Mode] = []
+    out: list[LinearMode] = []
     for value in sorted(np.linalg.eigvals(A), key=lambda v: (abs(v), v.real)):
         pole = 0.0 if abs(value) < 1e-5 * scale else value  # rigid motion: defective poles come out as its root
         if value.imag < 0 or any(abs(pole - mode.pole) < 1e-5 * scale for mode in out):
             continue
         left, sizes, _ = np.linalg.svd(np.hstack([A - pole * np.eye(2 * D), B.astype(complex)]))
         reached_least = np.abs(np.linalg.solve(M, left[D:, -1]))
-        out.append(Mode(complex(pole), float(sizes[-1]), names[int(np.argmax(reached_least))]))
+        out.append(LinearMode(complex(pole), float(sizes[-1]), names[int(np.argmax(reached_least))]))
     return sorted(out, key=lambda mode: mode.pbh)
 
 

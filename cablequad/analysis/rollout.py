@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cablequad.control.control_step import Measurement, Sample, first_memory, tick
+from cablequad.control.control_step import Measurement, Sample, control_step, first_memory
 from cablequad.control.design import Design
 from cablequad.control.geometric import AttitudeCommand
 from cablequad.control.paper_law import Gains, commands
@@ -19,7 +19,7 @@ from cablequad.types import Array
 HELD_TICKS = 200
 
 
-class Timing(NamedTuple):
+class LoopTiming(NamedTuple):
     """The rates of a sampled loop."""
 
     period: float  # s between decisions
@@ -41,7 +41,7 @@ def rollout(
     airframe: Airframe,
     plan: Callable[[float], Reference],
     initial: State,
-    timing: Timing,
+    timing: LoopTiming,
     ticks: int,
     real: Mismatch | None = None,
 ) -> Iterator[Sample]:
@@ -56,14 +56,14 @@ def rollout(
     h = timing.period / timing.steps
     state = initial.copy()
     work = scratch(system, state)
-    memory, sample = tick(first_memory(design), Measurement(0.0, initial, held=True), plan(0.0), design)
+    memory, sample = control_step(first_memory(design), Measurement(0.0, initial, restrained=True), plan(0.0), design)
     for _ in range(HELD_TICKS):
-        memory, sample = tick(memory, Measurement(0.0, initial, held=True), plan(0.0), design)
+        memory, sample = control_step(memory, Measurement(0.0, initial, restrained=True), plan(0.0), design)
     under_way = [Setpoint.attitude(sample.R_c, real.thrust_scale * sample.f)] * timing.delay
     last = Setpoint.attitude(sample.R_c, real.thrust_scale * sample.f)
     for k in range(ticks + 1):
         t = k * timing.period
-        memory, sample = tick(memory, Measurement(t, state.copy()), plan(t), design)
+        memory, sample = control_step(memory, Measurement(t, state.copy()), plan(t), design)
         yield sample
         sent = Setpoint.attitude(sample.R_c, real.thrust_scale * sample.f)
         last = last if real.loss > 0.0 and rng.random() < real.loss else sent

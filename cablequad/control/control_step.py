@@ -5,12 +5,18 @@ from typing import NamedTuple
 import numpy as np
 
 from cablequad._jit import jit
-from cablequad.boxed import Held, hold
-from cablequad.control.design import Authority, Calm, Design
+from cablequad.boxed import Boxed, box
+from cablequad.control.design import Authority, Design, SwingDamping
 from cablequad.control.formation import Formation, formation
 from cablequad.control.geometric import attitude_of_force
 from cablequad.control.trajectory import Reference
-from cablequad.control.yaw_frame import about_down, turned, turned_frames, turned_reference, turned_state
+from cablequad.control.yaw_frame import (
+    about_down,
+    frames_in_yaw_frame,
+    in_yaw_frame,
+    reference_in_yaw_frame,
+    state_in_yaw_frame,
+)
 from cablequad.model import lie
 from cablequad.model.attitude import Setpoint, fly
 from cablequad.model.dynamics import Accelerations, evaluate, workspace
@@ -18,7 +24,7 @@ from cablequad.model.integrate import scratch
 from cablequad.model.state import Error, State, local, positions, velocities
 from cablequad.types import Array, Counts
 
-LASTING_REACH = 0.25  # m and rad: larger errors are not summed faster than this, so that a long way leaves no overshoot
+INTEGRAND_LIMIT = 0.25  # m and rad: larger errors are not integrated faster, so that a long way leaves no overshoot
 LITTLE = 0.2  # of the least vertical force, which is always left: a vehicle never turns over
 UPRIGHT = 0.5  # cosine of a vehicle's tilt below which thrust no longer makes up for it
 
@@ -28,7 +34,7 @@ class Measurement(NamedTuple):
 
     t: float  # s, vehicles' clock since release
     state: State
-    held: bool = False  # the vehicles do not fly yet: nothing adds up
+    restrained: bool = False  # the vehicles do not fly yet: integrals stand still
 
 
 class Memory(NamedTuple):
@@ -36,9 +42,9 @@ class Memory(NamedTuple):
 
     R_c: Array  # (d, n, 3, 3) commanded attitudes that do not act yet, newest first; d = 1 where there is no delay
     f: Array  # (d, n) N: their thrusts
-    under_way: Array  # (delay, n, 3) N, W: A_i less what the reference asks, of the commands that do not act yet
-    lasting: Array  # (6,) m s and rad s: integrals of the load's position and attitude errors, yawed frame
-    calm: Array  # (1,) 0 .. 1: share of the calm law
+    pending: Array  # (delay, n, 3) N, W: A_i less what the reference asks, of the commands that do not act yet
+    integral: Array  # (6,) m s and rad s: integrals of the load's position and attitude errors, yawed frame
+    damping_share: Array  # (1,) 0 .. 1: share of the damping law
 
 
 class Sample(NamedTuple):
@@ -61,7 +67,7 @@ class Sample(NamedTuple):
 
 
 def first_memory(design: Design) -> Memory:
-    """What the pilot knows before its first decision."""
+    """What the controller knows before its first decision."""
     n, d = len(design.system.m), max(1, design.delay)
     return Memory(
         np.tile(design.hanging.R, (d, 1, 1, 1)), np.tile(-design.u_star[:, 2], (d, 1)),
@@ -69,23 +75,25 @@ def first_memory(design: Design) -> Memory:
     )  # fmt: skip
 
 
-def tick(memory: Memory, measurement: Measurement, reference: Reference, design: Design) -> tuple[Memory, Sample]:
+def control_step(
+    memory: Memory, measurement: Measurement, reference: Reference, design: Design
+) -> tuple[Memory, Sample]:
     """The setpoints that answer `measurement`. Non-finite measurements give non-finite commands: callers must check."""
     s = measurement.state
-    d = _decide(memory, s, measurement.held, reference, _held(design))
+    d = _decide(memory, s, measurement.restrained, reference, _boxed(design))
     sample = Sample(
         measurement.t, s, reference, memory, d.error, d.A, d.R_c, d.f, d.Psi_0, d.Psi, d.e_q, d.e_omega, d.R_0d, d.q_d
     )
     return d.memory, sample
 
 
-_LAST: list[tuple[Design, Held[Design]]] = []  # the design that was asked for last, held
+_LAST: list[tuple[Design, Boxed[Design]]] = []  # the design that was asked for last, boxed
 
 
-def _held(design: Design) -> Held[Design]:
+def _boxed(design: Design) -> Boxed[Design]:
     """The same design decides tick after tick: it is made a pointer once."""
     if not _LAST or _LAST[0][0] is not design:
-        _LAST[:] = [(design, hold(design))]
+        _LAST[:] = [(design, box(design))]
     return _LAST[0][1]
 
 
@@ -106,38 +114,46 @@ class _Decision(NamedTuple):
 
 
 @jit
-def _decide(memory: Memory, s: State, on_hold: bool, reference: Reference, held_design: Held[Design]) -> _Decision:
-    design = held_design.value
+def _decide(memory: Memory, s: State, restrained: bool, reference: Reference, boxed_design: Boxed[Design]) -> _Decision:
+    design = boxed_design.value
     system, u_star = design.system, design.u_star
-    # everything is seen from a frame turned with the reference's yaw, where the linear model holds
+    # everything is expressed in a frame turned with the reference's yaw, where the linear model holds
     yaw = reference.yaw[0]
-    seen, wanted, way = s, reference, memory.under_way
+    measured, wanted, pending = s, reference, memory.pending
     if yaw != 0.0:
-        seen, wanted, way = turned_state(s, -yaw), turned_reference(reference, -yaw), turned(way, -yaw)
+        measured, wanted, pending = (
+            state_in_yaw_frame(s, -yaw),
+            reference_in_yaw_frame(reference, -yaw),
+            in_yaw_frame(pending, -yaw),
+        )
     lead = (design.delay + 0.5) * design.period
     form = formation(system, design.hanging, u_star, design.airframe, lead, wanted)
-    error = local(system, form.target, seen)
-    lasting = memory.lasting if on_hold else _lasting(memory.lasting, error.x, design.held, design.period)
-    phi, phi_dot = _horizontal_forces(seen.R, seen.Omega, u_star)
+    error = local(system, form.target, measured)
+    integral = (
+        memory.integral if restrained else _integrated(memory.integral, error.x, design.integrated, design.period)
+    )
+    phi, phi_dot = _horizontal_forces(measured.R, measured.Omega, u_star)
     a = design.K_x @ error.x + design.K_xdot @ error.x_dot
     a += design.K_phi @ (phi - form.phi) + design.K_phidot @ (phi_dot - form.phi_dot)
-    a += design.K_way @ way.ravel()
-    held = (design.K_lasting @ memory.lasting).reshape(u_star.shape)
-    A = form.command - a.reshape(u_star.shape) - held
-    calm = _calm_share(memory.calm[0], seen.q, form.target.q, system.n_links, design.calm, design.period)
-    if calm > 0.0:
-        A = (1.0 - calm) * A + calm * (_calm_forces(memory, seen, form, design, yaw) - held)
-    least, most = _lasting_limits(design.authority, held)
+    a += design.K_pending @ pending.ravel()
+    integral_force = (design.K_integral @ memory.integral).reshape(u_star.shape)
+    A = form.command - a.reshape(u_star.shape) - integral_force
+    share = _damping_share(
+        memory.damping_share[0], measured.q, form.target.q, system.n_links, design.swing_damping, design.period
+    )
+    if share > 0.0:
+        A = (1.0 - share) * A + share * (_damping_forces(memory, measured, form, design, yaw) - integral_force)
+    least, most = _limits_with_integrals(design.authority, integral_force)
     A = _within(A, design.authority.tilt, least, most)
-    way_now = np.empty_like(memory.under_way)
-    for k in range(len(way_now)):
-        way_now[k] = way[k - 1] if k > 0 else A - form.command
+    pending_now = np.empty_like(memory.pending)
+    for k in range(len(pending_now)):
+        pending_now[k] = pending[k - 1] if k > 0 else A - form.command
     if yaw != 0.0:
-        A, way_now = turned(A, yaw), turned(way_now, yaw)
+        A, pending_now = in_yaw_frame(A, yaw), in_yaw_frame(pending_now, yaw)
     R_c, f, Psi = commands(A, s.R, design.b1, design.authority, most, design.airframe.max_thrust, memory.R_c[0])
-    next_memory = Memory(_shifted(memory.R_c, R_c), _shifted(memory.f, f), way_now, lasting, np.array([calm]))
-    e_q, e_omega = _link_errors(system.n_links, seen.q, seen.omega, form.target.q)
-    Psi_0 = 0.5 * (3.0 - np.sum(form.target.R0 * seen.R0))
+    next_memory = Memory(_shifted(memory.R_c, R_c), _shifted(memory.f, f), pending_now, integral, np.array([share]))
+    e_q, e_omega = _link_errors(system.n_links, measured.q, measured.omega, form.target.q)
+    Psi_0 = 0.5 * (3.0 - np.sum(form.target.R0 * measured.R0))
     spin = about_down(yaw)
     return _Decision(
         next_memory, error, A, R_c, f, Psi_0, Psi, e_q, e_omega, spin @ form.target.R0, spin @ form.target.q[0, 0]
@@ -145,18 +161,23 @@ def _decide(memory: Memory, s: State, on_hold: bool, reference: Reference, held_
 
 
 @jit
-def _lasting(lasting: Array, x: Array, held: Array, period: float) -> Array:
+def _integrated(integral: Array, x: Array, integrated: Array, period: float) -> Array:
     """The integrals a period later."""
-    out = lasting.copy()
+    out = integral.copy()
     for k in range(6):
-        out[k] += held[k] * period * min(max(x[k], -LASTING_REACH), LASTING_REACH)
+        out[k] += integrated[k] * period * min(max(x[k], -INTEGRAND_LIMIT), INTEGRAND_LIMIT)
     return out
 
 
 @jit
-def _calm_share(before: float, q: Array, q_d: Array, n_links: Counts, calm: Calm, period: float) -> float:
-    """How much of the calm law acts: all above `calm.begin` of the worst cable's link error; it gives way slowly."""
-    if calm.begin == np.inf:
+def _damping_share(
+    before: float, q: Array, q_d: Array, n_links: Counts, swing_damping: SwingDamping, period: float
+) -> float:
+    """How much of the damping law acts: all above `swing_damping.begin` of the worst cable's link error.
+
+    It gives way slowly.
+    """
+    if swing_damping.begin == np.inf:
         return 0.0
     worst = 0.0
     for i in range(n_links.shape[0]):
@@ -165,33 +186,33 @@ def _calm_share(before: float, q: Array, q_d: Array, n_links: Counts, calm: Calm
             for b in range(3):
                 squares += (q[i, j, b] - q_d[i, j, b]) ** 2
         worst = max(worst, np.sqrt(squares / n_links[i]))
-    goal = min(max((worst - calm.end) / (calm.begin - calm.end), 0.0), 1.0)
-    return max(goal, before - period / calm.return_s)
+    goal = min(max((worst - swing_damping.end) / (swing_damping.begin - swing_damping.end), 0.0), 1.0)
+    return max(goal, before - period / swing_damping.return_s)
 
 
 @jit
-def _calm_forces(memory: Memory, seen: State, form: Formation, design: Design, yaw: float) -> Array:
+def _damping_forces(memory: Memory, measured: State, form: Formation, design: Design, yaw: float) -> Array:
     """(n, 3) N: m a_d + F - F_d - m (c (v - v_d) + k (x - x_d)) with F the cable's pull, yielding to what F exceeds.
 
     All of it is taken of the state that the model predicts for when a force commanded now has come about. Beyond what
     is under way the vehicles are taken to carry the formation: a pull that rose with the thrust commanded last would
     have the thrust answer itself, tick by tick.
     """
-    system, calm = design.system, design.calm
+    system, swing_damping = design.system, design.swing_damping
     n, L = system.length.shape
     at = State(
-        seen.x0.copy(), seen.v0.copy(), seen.R0.copy(), seen.Omega0.copy(), seen.q.copy(), seen.omega.copy(),
-        seen.R.copy(), seen.Omega.copy(),
+        measured.x0.copy(), measured.v0.copy(), measured.R0.copy(), measured.Omega0.copy(), measured.q.copy(),
+        measured.omega.copy(), measured.R.copy(), measured.Omega.copy(),
     )  # fmt: skip
     work = scratch(system, at)
-    steps = round(design.period / calm.step_s)
+    steps = round(design.period / swing_damping.step_s)
     for k in range(design.delay, -1, -1):
-        ahead = steps if k > 0 else calm.lead_steps
+        ahead = steps if k > 0 else swing_damping.lead_steps
         newest = max(k - 1, 0)
-        R_c = memory.R_c[newest] if yaw == 0.0 else turned_frames(memory.R_c[newest], -yaw)
+        R_c = memory.R_c[newest] if yaw == 0.0 else frames_in_yaw_frame(memory.R_c[newest], -yaw)
         f = memory.f[newest] if k > 0 else _carrying(at, form)
         setpoint = Setpoint(R_c, np.zeros((n, 3)), f, np.zeros(n, dtype=np.bool_))
-        fly(system, design.airframe, setpoint, at, calm.step_s, ahead, work)
+        fly(system, design.airframe, setpoint, at, swing_damping.step_s, ahead, work)
     force = np.empty((n, 3))
     f = _carrying(at, form)
     for i in range(n):
@@ -206,8 +227,10 @@ def _calm_forces(memory: Memory, seen: State, form: Formation, design: Design, y
             gravity = system.g if b == 2 else 0.0
             pull = acc.tension[i, 0] * at.q[i, 0, b]
             pull_d = m * (form.a[i, b] - gravity) - form.u[i, b]
-            push = calm.damping * (v[i, 0, b] - form.v[i, b]) + calm.stiffness * (x[i, 0, b] - form.x[i, b])
-            answer = (1.0 + calm.yielding) * ((pull - pull_d) / m - push)
+            push = swing_damping.damping * (v[i, 0, b] - form.v[i, b]) + swing_damping.stiffness * (
+                x[i, 0, b] - form.x[i, b]
+            )
+            answer = (1.0 + swing_damping.yielding) * ((pull - pull_d) / m - push)
             A[i, b] = m * (form.a[i, b] + answer - gravity) - pull
     return A
 
@@ -223,11 +246,11 @@ def _carrying(s: State, form: Formation) -> Array:
 
 
 @jit
-def _lasting_limits(limits: Authority, held: Array) -> tuple[Array, Array]:
+def _limits_with_integrals(limits: Authority, integral_force: Array) -> tuple[Array, Array]:
     """(n,) N: the least and the most upwards, moved by the vertical part of what integrals hold."""
     least, most = limits.least.copy(), limits.most.copy()
     for i in range(len(least)):
-        up = held[i, 2]
+        up = integral_force[i, 2]
         least[i] = max(least[i] + min(up, 0.0), LITTLE * least[i])
         most[i] += max(up, 0.0)
     return least, most

@@ -11,7 +11,7 @@ import numpy as np
 from scipy import linalg
 
 from cablequad.model.attitude import Airframe
-from cablequad.model.controllability import OUTPUT_AT, held_outputs, reach
+from cablequad.model.controllability import OUTPUT_AT, controllable, integrable_outputs
 from cablequad.model.linear import equilibrium, equilibrium_forces, linearize
 from cablequad.model.state import State
 from cablequad.model.stiffness import stable_substep
@@ -33,7 +33,7 @@ class Weights(NamedTuple):
     link_direction: float = 2.0  # 1/rad^2
     link_rate: float = 0.6  # s^2/rad^2
     force: float = 2.0  # 1/N^2
-    lasting: float = 30.0  # 1/(m s)^2 and 1/(rad s)^2: of the integrals of position and attitude
+    integral: float = 30.0  # 1/(m s)^2 and 1/(rad s)^2: of the integrals of position and attitude
 
 
 HOVER_N = 10.0
@@ -41,7 +41,7 @@ TILT_DEG = 30.0
 LIGHTEST, HEAVIEST = 0.5, 1.2  # of the vertical force at rest, for a while; what lasts comes on top
 FURTHEST = 0.6  # rad
 RESERVE = 0.9  # of the rotors' limit, left for the tilt
-CALM_BEGIN, CALM_END, RETURN_S = 0.25, 0.1, 0.5
+DAMPING_BEGIN, DAMPING_END, RETURN_S = 0.25, 0.1, 0.5
 YIELDING, DAMPING, STIFFNESS, LEAD = 3.0, 5.0, 5.0, 0.58
 
 
@@ -55,14 +55,14 @@ class Authority(NamedTuple):
     vertical: bool  # thrust makes the vertical part good, f = A_z / (R e3)_z; else the paper's f = -A . R e3
 
 
-class Calm(NamedTuple):
+class SwingDamping(NamedTuple):
     """How vehicles take the swing out of cables that are far from straight, where the linear law does harm.
 
     Each vehicle answers its own cable's pull as if it had a mass of m / (1 + yielding), with a damper and a spring to
     its place in the formation: passive, so that it takes energy out at any amplitude.
     """
 
-    begin: float  # rad of link error: fully calm above, inf: never
+    begin: float  # rad of link error: only this law above, inf: never
     end: float  # rad: only the linear law below
     return_s: float  # s, for the linear law to take over again
     yielding: float  # 0 .. 3: what vehicles slower than their cables cannot do
@@ -73,7 +73,7 @@ class Calm(NamedTuple):
 
 
 class Design(NamedTuple):
-    """A controller for one system: everything that `tick` needs and nothing that changes."""
+    """A controller for one system: everything that `control_step` needs and nothing that changes."""
 
     system: System
     airframe: Airframe
@@ -85,12 +85,12 @@ class Design(NamedTuple):
     K_xdot: Array  # (3 n, D) N per unit of x_dot
     K_phi: Array  # (3 n, 2 n) per N of horizontal force that acts
     K_phidot: Array  # (3 n, 2 n) s, per N/s of it
-    K_way: Array  # (3 n, 3 n d) per N of the d commands under way, newest first
-    K_lasting: Array  # (3 n, 6) N per m s and rad s of the integrals of the load's position and attitude
-    held: Array  # (6,) 1 where there is such an integral
+    K_pending: Array  # (3 n, 3 n d) per N of the d commands under way, newest first
+    K_integral: Array  # (3 n, 6) N per m s and rad s of the integrals of the load's position and attitude
+    integrated: Array  # (6,) 1 where there is such an integral
     b1: Array  # (n, 3) W: where each vehicle's nose points
     authority: Authority
-    calm: Calm
+    swing_damping: SwingDamping
 
 
 class DesignError(ValueError):
@@ -137,8 +137,8 @@ def flown_model(
         [[A, B @ flat, np.zeros((X, 2 * n))], [none, zero, np.eye(2 * n)], [none, np.diag(-w_sq), np.diag(-damping)]]
     )
     H = np.vstack([B @ upright, np.zeros((2 * n, 3 * n)), w_sq[:, None] * flat.T])
-    held = linalg.expm(period * np.block([[F, H], [np.zeros((3 * n, F.shape[0] + 3 * n))]]))
-    return delayed(held[: len(F), : len(F)], held[: len(F), len(F) :], delay)
+    sampled = linalg.expm(period * np.block([[F, H], [np.zeros((3 * n, F.shape[0] + 3 * n))]]))
+    return delayed(sampled[: len(F), : len(F)], sampled[: len(F), len(F) :], delay)
 
 
 def delayed(F: Array, H: Array, delay: int) -> tuple[Array, Array]:
@@ -154,7 +154,7 @@ def delayed(F: Array, H: Array, delay: int) -> tuple[Array, Array]:
     return A_d, B_d
 
 
-class Loop(NamedTuple):
+class SampledLoop(NamedTuple):
     """The sampled loop in the coordinates of what can be reached: [xi, xi_dot, phi, phi_dot, integrals, under way]."""
 
     A: Array
@@ -164,21 +164,23 @@ class Loop(NamedTuple):
     rows: list[int]  # of x: what is integrated
 
 
-def sampled_loop(system: System, airframe: Airframe, period: float, delay: int, thrust_scale: float = 1.0) -> Loop:
+def sampled_loop(
+    system: System, airframe: Airframe, period: float, delay: int, thrust_scale: float = 1.0
+) -> SampledLoop:
     """`flown_model` without what forces cannot reach, with the integrals of what constant forces can hold."""
-    reached = reach(system)
+    reached = controllable(system)
     F, H = flown_model(system, airframe, period, 0, thrust_scale)
     rest = np.eye(4 * len(system.m))
     onto = linalg.block_diag(reached.coordinates, reached.coordinates, rest)
     back = linalg.block_diag(reached.shapes, reached.shapes, rest)
-    rows = [OUTPUT_AT[k] for k in held_outputs(system, reached)]
+    rows = [OUTPUT_AT[k] for k in integrable_outputs(system, reached)]
     k, S = len(rows), len(onto)
     A = np.zeros((S + k, S + k))
     A[:S, :S], A[S:, :S], A[S:, S:] = onto @ F @ back, period * back[rows], np.eye(k)
-    return Loop(*delayed(A, np.vstack([onto @ H, np.zeros((k, H.shape[1]))]), delay), onto, back, rows)
+    return SampledLoop(*delayed(A, np.vstack([onto @ H, np.zeros((k, H.shape[1]))]), delay), onto, back, rows)
 
 
-def undelayed(loop: Loop, delay: int) -> tuple[Array, Array]:
+def undelayed(loop: SampledLoop, delay: int) -> tuple[Array, Array]:
     """The (F, H) that `delayed` made (A, B) of, for a delay of at least one tick."""
     U = loop.B.shape[1]
     S = len(loop.A) - U * delay
@@ -192,7 +194,7 @@ def continuous_law(system: System, airframe: Airframe, weights: Weights, period:
     """
     import control  # here, as it brings matplotlib along
 
-    reached = reach(system)
+    reached = controllable(system)
     A, B = state_space(system)
     Q, R = cost(system, weights)
     onto = linalg.block_diag(reached.coordinates, reached.coordinates)
@@ -209,7 +211,7 @@ def continuous_law(system: System, airframe: Airframe, weights: Weights, period:
     K = K @ onto
     gains = [K[:, :D], K[:, D:], *(np.zeros((U, width)) for width in (2 * n, 2 * n, U * delay, 6))]
     no_limit = Authority(np.inf, np.full(n, -np.inf), np.full(n, np.inf), np.inf, False)
-    never = Calm(np.inf, np.inf, 1.0, 0.0, 0.0, 0.0, 0, period)
+    never = SwingDamping(np.inf, np.inf, 1.0, 0.0, 0.0, 0.0, 0, period)
     return _design(system, airframe, period, delay, gains, np.zeros(6), no_limit, never)
 
 
@@ -230,25 +232,25 @@ def sampled_law(system: System, airframe: Airframe, weights: Weights, period: fl
     Q_x = linalg.block_diag(Q_x, np.zeros((4 * n, 4 * n)))
     Q = np.zeros_like(loop.A)
     Q[:S, :S] = loop.back.T @ Q_x @ loop.back
-    Q[S : S + k, S : S + k] = weights.lasting * np.eye(k)
+    Q[S : S + k, S : S + k] = weights.integral * np.eye(k)
     try:
         K = np.asarray(control.dlqr(loop.A, loop.B, 0.5 * (Q + Q.T), R)[0], dtype=float)
     except (np.linalg.LinAlgError, ValueError, control.ControlDimension) as error:
         raise DesignError(_none(n, str(error))) from None
     if np.abs(np.linalg.eigvals(loop.A - loop.B @ K)).max() >= 1:
         raise DesignError(_none(n, "a mode stays undamped"))
-    lasting, held = np.zeros((3 * n, 6)), np.zeros(6)
-    lasting[:, loop.rows], held[loop.rows] = K[:, S : S + k], 1.0
+    K_integral, integrated = np.zeros((3 * n, 6)), np.zeros(6)
+    K_integral[:, loop.rows], integrated[loop.rows] = K[:, S : S + k], 1.0
     D = len(Q_x) // 2 - 2 * n
-    gains = [*np.split(K[:, :S] @ loop.onto, np.cumsum([D, D, 2 * n]), axis=1), K[:, S + k :], lasting]
-    calm = _calm(system, airframe, share, period)
-    return _design(system, airframe, period, delay, gains, held, _authority(system, airframe), calm)
+    gains = [*np.split(K[:, :S] @ loop.onto, np.cumsum([D, D, 2 * n]), axis=1), K[:, S + k :], K_integral]
+    swing_damping = _swing_damping(system, airframe, share, period)
+    return _design(system, airframe, period, delay, gains, integrated, _authority(system, airframe), swing_damping)
 
 
-def loop_gains(design: Design, loop: Loop) -> Array:
+def loop_gains(design: Design, loop: SampledLoop) -> Array:
     """All gains side by side in the coordinates of `loop`; none for commands under way that the design ignores."""
     state = np.hstack([design.K_x, design.K_xdot, design.K_phi, design.K_phidot]) @ loop.back
-    known = np.hstack([state, design.K_lasting[:, loop.rows], design.K_way])
+    known = np.hstack([state, design.K_integral[:, loop.rows], design.K_pending])
     out = np.zeros((len(known), len(loop.A)))
     width = min(known.shape[1], len(loop.A))
     out[:, :width] = known[:, :width]
@@ -278,11 +280,18 @@ def _authority(system: System, airframe: Airframe) -> Authority:
     return Authority(float(np.tan(np.radians(TILT_DEG))), LIGHTEST * hover, most, FURTHEST, True)
 
 
-def _calm(system: System, airframe: Airframe, share: float, period: float) -> Calm:
+def _swing_damping(system: System, airframe: Airframe, share: float, period: float) -> SwingDamping:
     step = 1e-6 * stable_substep(system, 1000, round(period * 1e6))
     lag = float((2.0 * airframe.damping / airframe.bandwidth).max())
-    return Calm(
-        CALM_BEGIN, CALM_END, RETURN_S, YIELDING * share, DAMPING, STIFFNESS, round(LEAD * share * lag / step), step
+    return SwingDamping(
+        DAMPING_BEGIN,
+        DAMPING_END,
+        RETURN_S,
+        YIELDING * share,
+        DAMPING,
+        STIFFNESS,
+        round(LEAD * share * lag / step),
+        step,
     )
 
 
@@ -292,10 +301,10 @@ def _none(n: int, why: str) -> str:
 
 
 def _design(
-    system: System, airframe: Airframe, period: float, delay: int, gains: list[Array], held: Array,
-    authority: Authority, calm: Calm,
+    system: System, airframe: Airframe, period: float, delay: int, gains: list[Array], integrated: Array,
+    authority: Authority, swing_damping: SwingDamping,
 ) -> Design:  # fmt: skip
-    K_x, K_xdot, K_phi, K_phidot, K_way, K_lasting = (np.ascontiguousarray(part) for part in gains)
+    K_x, K_xdot, K_phi, K_phidot, K_pending, K_integral = (np.ascontiguousarray(part) for part in gains)
     hung = equilibrium(system)
     return Design(
         system=system,
@@ -308,10 +317,10 @@ def _design(
         K_xdot=K_xdot,
         K_phi=K_phi,
         K_phidot=K_phidot,
-        K_way=K_way,
-        K_lasting=K_lasting,
-        held=held,
+        K_pending=K_pending,
+        K_integral=K_integral,
+        integrated=integrated,
         b1=np.tile(np.array([1.0, 0.0, 0.0]), (len(system.m), 1)),
         authority=authority,
-        calm=calm,
+        swing_damping=swing_damping,
     )

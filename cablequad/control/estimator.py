@@ -1,4 +1,4 @@
-"""The observer: what vehicles and a payload tracker say -> the whole state, with what nobody measures.
+"""The estimator: what vehicles and a payload tracker say -> the whole state, with what nobody measures.
 
 The nonlinear model carries the belief from one instant to the next under the setpoints that act; what is measured then
 corrects it by the steady gain of a Kalman filter on the linear model (in the frame of the load's yaw). Forces that the
@@ -13,10 +13,10 @@ from scipy import linalg
 
 from cablequad._jit import jit
 from cablequad.control.design import state_space
-from cablequad.control.yaw_frame import turned, turned_frames, turned_state
+from cablequad.control.yaw_frame import frames_in_yaw_frame, in_yaw_frame, state_in_yaw_frame
 from cablequad.model import lie
 from cablequad.model.attitude import Airframe, Setpoint, fly
-from cablequad.model.controllability import Reach, observed
+from cablequad.model.controllability import Modes, observable
 from cablequad.model.integrate import scratch
 from cablequad.model.linear import equilibrium, linearize
 from cablequad.model.noise import Noise
@@ -29,7 +29,7 @@ Sensing = Literal["full", "fleet", "vehicles"]
 VEHICLE_FORCE = 2e-3  # N^2 s: what shakes the vehicles besides what is known, white
 LOAD_FORCE = 1e-3  # N^2 s
 LOAD_MOMENT = 1e-5  # N^2 m^2 s
-LASTING_FORCE = 2e-3  # N^2 / s: how fast unknown forces on the vehicles change
+CONSTANT_FORCE = 2e-3  # N^2 / s: how fast unknown forces on the vehicles change
 SHAKEN = 1e-3  # share of the mean that every mode gets, so that none is believed to be known for ever
 DOUBLINGS = 40
 TURN = 1.0  # rad^2 / s^3: what turns the vehicles besides their attitude loops
@@ -45,7 +45,7 @@ class Belief(NamedTuple):
     force: Array  # (n, 3) N, W: on the vehicles, besides what the model knows
 
 
-class Seen(NamedTuple):
+class Measured(NamedTuple):
     """What was measured of one instant; NaN where nothing was."""
 
     x: Array  # (n, 3) m, W: vehicles
@@ -61,7 +61,7 @@ class Seen(NamedTuple):
 
 
 class Filter(NamedTuple):
-    """The observer of one system."""
+    """The estimator of one system."""
 
     system: System
     airframe: Airframe
@@ -70,7 +70,7 @@ class Filter(NamedTuple):
     turn_gain: Array  # (n, 2, 2): of a vehicle's attitude and rate by theirs
 
 
-class Observer(NamedTuple):
+class Estimator(NamedTuple):
     """A filter and what it cannot see."""
 
     filter: Filter
@@ -79,11 +79,11 @@ class Observer(NamedTuple):
     deviations: dict[str, float]  # of the belief, steady: worst link direction (deg), load position (m) ...
 
 
-def nothing_seen(system: System) -> Seen:
+def nothing_measured(system: System) -> Measured:
     """All NaN."""
     n, L = system.length.shape
     shapes = ((n, 3), (n, 3), (n, 3, 3), (n, 3), (3,), (3,), (3, 3), (3,), (n, L, 3), (n, L, 3))
-    return Seen(*(np.full(shape, np.nan) for shape in shapes))
+    return Measured(*(np.full(shape, np.nan) for shape in shapes))
 
 
 def measured_rows(system: System, hanging: State, sensing: Sensing) -> Array:
@@ -106,15 +106,15 @@ def measured_rows(system: System, hanging: State, sensing: Sensing) -> Array:
     return np.vstack([C, np.eye(D)])
 
 
-def observer(system: System, airframe: Airframe, period: float, sensing: Sensing, noise: Noise) -> Observer:
-    """The observer for what `sensing` measures every `period` s with `noise`."""
+def estimator(system: System, airframe: Airframe, period: float, sensing: Sensing, noise: Noise) -> Estimator:
+    """The estimator for what `sensing` measures every `period` s with `noise`."""
     n = len(system.m)
     hung = equilibrium(system)
     hanging = State.hanging(system)._replace(R0=hung.R0).copy()
     C = measured_rows(system, hanging, sensing)
-    view = observed(system, C)
+    view = observable(system, C)
     sigma = Noise(*(max(a, b) for a, b in zip(noise, FLOOR, strict=True)))
-    F, Q, lasting = _shaken(system, view, period, with_forces=sensing != "vehicles")
+    F, Q, with_forces = _shaken(system, view, period, with_forces=sensing != "vehicles")
     still, moving = C @ view.shapes, C @ view.shapes
     k = view.shapes.shape[1]
     H = np.zeros((2 * len(C), len(F)))
@@ -128,7 +128,7 @@ def observer(system: System, airframe: Airframe, period: float, sensing: Sensing
     onto = linalg.block_diag(view.shapes, view.shapes)
     gain = np.zeros((2 * len(view.shapes) + 3 * n, len(K[0])))
     gain[: 2 * len(view.shapes)] = onto @ K[: 2 * k]
-    if lasting:
+    if with_forces:
         gain[2 * len(view.shapes) :] = K[2 * k :]
     after = onto @ (P - K @ H @ P)[: 2 * k, : 2 * k] @ onto.T
     sd = np.sqrt(np.maximum(np.diag(after), 0.0))
@@ -138,11 +138,11 @@ def observer(system: System, airframe: Airframe, period: float, sensing: Sensing
         "link direction, deg": float(np.degrees(sd[6 : len(view.shapes)].max())),
     }
     turns = np.stack([_turn_gain(airframe, i, period, sigma) for i in range(n)])
-    return Observer(Filter(system, airframe, hanging, gain, turns), sensing, view.missing, deviations)
+    return Estimator(Filter(system, airframe, hanging, gain, turns), sensing, view.missing, deviations)
 
 
-def _shaken(system: System, view: Reach, period: float, with_forces: bool) -> tuple[Array, Array, bool]:
-    """The sampled model of what can be seen, and the covariance that shaking adds to it in a period."""
+def _shaken(system: System, view: Modes, period: float, with_forces: bool) -> tuple[Array, Array, bool]:
+    """The sampled model of what can be observed, and the covariance that shaking adds to it in a period."""
     n = len(system.m)
     A, B = state_space(system)
     M, _, _ = linearize(system)
@@ -159,12 +159,12 @@ def _shaken(system: System, view: Reach, period: float, with_forces: bool) -> tu
     if with_forces:
         U = 3 * n
         A_v = np.block([[A_v, B_v], [np.zeros((U, len(A_v) + U))]])
-        shake = linalg.block_diag(shake, LASTING_FORCE * np.eye(U))
+        shake = linalg.block_diag(shake, CONSTANT_FORCE * np.eye(U))
     size = len(A_v)
     # Van Loan: F and the covariance of what white noise adds over a period
-    held = linalg.expm(period * np.block([[-A_v, shake], [np.zeros((size, size)), A_v.T]]))
-    F = held[size:, size:].T
-    Q = F @ held[:size, size:]
+    doubled = linalg.expm(period * np.block([[-A_v, shake], [np.zeros((size, size)), A_v.T]]))
+    F = doubled[size:, size:].T
+    Q = F @ doubled[:size, size:]
     return F, 0.5 * (Q + Q.T), with_forces
 
 
@@ -194,28 +194,28 @@ def _steady_covariance(F: Array, H: Array, Q: Array, S: Array) -> Array:
     return c
 
 
-def first_belief(filter: Filter, seen: Seen) -> Belief | None:
+def first_belief(filter: Filter, measured: Measured) -> Belief | None:
     """Everything at rest, cables straight towards their vehicles; None until all vehicles have told where they are."""
     system = filter.system
     n, L = system.length.shape
-    if not np.all(np.isfinite(seen.x)) or not np.all(np.isfinite(seen.R)):
+    if not np.all(np.isfinite(measured.x)) or not np.all(np.isfinite(measured.R)):
         return None
     s = filter.hanging.copy()
-    if np.all(np.isfinite(seen.x0)) and np.all(np.isfinite(seen.R0)):
-        s = s._replace(x0=seen.x0.copy(), R0=seen.R0.copy())
+    if np.all(np.isfinite(measured.x0)) and np.all(np.isfinite(measured.R0)):
+        s = s._replace(x0=measured.x0.copy(), R0=measured.R0.copy())
     else:  # hanging below its vehicles, turned as they stand around it
         form = positions(system, s)[:, 0]
-        a, b = form - form.mean(axis=0), seen.x - seen.x.mean(axis=0)
+        a, b = form - form.mean(axis=0), measured.x - measured.x.mean(axis=0)
         turn = float(np.arctan2(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.sum(a[:, :2] * b[:, :2])))
-        s = turned_state(s, turn if n > 1 else 0.0)
-        s = s._replace(x0=np.mean(seen.x - turned(form, turn if n > 1 else 0.0), axis=0))
+        s = state_in_yaw_frame(s, turn if n > 1 else 0.0)
+        s = s._replace(x0=np.mean(measured.x - in_yaw_frame(form, turn if n > 1 else 0.0), axis=0))
     ends = positions(system, s)[:, L]
     for i in range(n):
-        line = ends[i] - seen.x[i]
+        line = ends[i] - measured.x[i]
         size = float(np.linalg.norm(line))
-        if size > 1e-3 and np.all(np.isfinite(seen.x0)):
+        if size > 1e-3 and np.all(np.isfinite(measured.x0)):
             s.q[i, : system.n_links[i]] = line / size
-    s = s._replace(R=seen.R.copy(), Omega=np.where(np.isfinite(seen.Omega), seen.Omega, 0.0))
+    s = s._replace(R=measured.R.copy(), Omega=np.where(np.isfinite(measured.Omega), measured.Omega, 0.0))
     return Belief(s, np.zeros((n, 3)))
 
 
@@ -233,56 +233,56 @@ def predicted(filter: Filter, belief: Belief, setpoint: Setpoint, h: float, step
 
 
 @jit
-def corrected(filter: Filter, belief: Belief, seen: Seen) -> Belief:
+def corrected(filter: Filter, belief: Belief, measured: Measured) -> Belief:
     """The belief with what was measured of its instant."""
     system, n = filter.system, filter.system.m.shape[0]
     level = belief.state.R0 @ np.ascontiguousarray(filter.hanging.R0.T)
     yaw = np.arctan2(level[1, 0] - level[0, 1], level[0, 0] + level[1, 1])
-    s = turned_state(belief.state, -yaw)
-    y = _innovation(system, s, seen, yaw, filter.gain.shape[1])
+    s = state_in_yaw_frame(belief.state, -yaw)
+    y = _innovation(system, s, measured, yaw, filter.gain.shape[1])
     D = (filter.gain.shape[0] - 3 * n) // 2
     d = filter.gain @ y
     moved = retract(system, s, Error(d[:D], d[D : 2 * D]))
-    force = turned(belief.force, -yaw) + d[2 * D :].reshape(n, 3)
+    force = in_yaw_frame(belief.force, -yaw) + d[2 * D :].reshape(n, 3)
     for i in range(n):
-        if np.isfinite(seen.R[i, 0, 0]):
-            off = lie.log(np.ascontiguousarray(belief.state.R[i].T) @ seen.R[i])
-            slip = seen.Omega[i] - belief.state.Omega[i] if np.isfinite(seen.Omega[i, 0]) else np.zeros(3)
+        if np.isfinite(measured.R[i, 0, 0]):
+            off = lie.log(np.ascontiguousarray(belief.state.R[i].T) @ measured.R[i])
+            slip = measured.Omega[i] - belief.state.Omega[i] if np.isfinite(measured.Omega[i, 0]) else np.zeros(3)
             g = filter.turn_gain[i]
             moved.R[i] = np.ascontiguousarray(s.R[i]) @ lie.exp(g[0, 0] * off + g[0, 1] * slip)
             moved.Omega[i] = s.Omega[i] + g[1, 0] * off + g[1, 1] * slip
-    return Belief(turned_state(moved, yaw), turned(force, yaw))
+    return Belief(state_in_yaw_frame(moved, yaw), in_yaw_frame(force, yaw))
 
 
 @jit
-def _innovation(system: System, s: State, seen: Seen, yaw: float, size: int) -> Array:
+def _innovation(system: System, s: State, measured: Measured, yaw: float, size: int) -> Array:
     """What was measured less what `s` says of it, ordered as the gain's columns; 0 where nothing was measured."""
     n = system.m.shape[0]
     m = size // 2
     y = np.zeros(size)
     x, v = positions(system, s), velocities(system, s)
-    seen_x, seen_v = turned(seen.x, -yaw), turned(seen.v, -yaw)
+    measured_x, measured_v = in_yaw_frame(measured.x, -yaw), in_yaw_frame(measured.v, -yaw)
     for i in range(n):
         for b in range(3):
-            y[3 * i + b] = seen_x[i, b] - x[i, 0, b]
-            y[m + 3 * i + b] = seen_v[i, b] - v[i, 0, b]
+            y[3 * i + b] = measured_x[i, b] - x[i, 0, b]
+            y[m + 3 * i + b] = measured_v[i, b] - v[i, 0, b]
     if m > 3 * n:
         at = 3 * n
-        seen_R0 = turned_frames(seen.R0.copy().reshape(1, 3, 3), -yaw)[0]
-        y[at : at + 3] = turned(seen.x0, -yaw) - s.x0
-        y[m + at : m + at + 3] = turned(seen.v0, -yaw) - s.v0
-        if np.isfinite(seen_R0[0, 0]):
-            y[at + 3 : at + 6] = lie.log(np.ascontiguousarray(s.R0.T) @ seen_R0)
-        y[m + at + 3 : m + at + 6] = seen.Omega0 - s.Omega0
+        measured_R0 = frames_in_yaw_frame(measured.R0.copy().reshape(1, 3, 3), -yaw)[0]
+        y[at : at + 3] = in_yaw_frame(measured.x0, -yaw) - s.x0
+        y[m + at : m + at + 3] = in_yaw_frame(measured.v0, -yaw) - s.v0
+        if np.isfinite(measured_R0[0, 0]):
+            y[at + 3 : at + 6] = lie.log(np.ascontiguousarray(s.R0.T) @ measured_R0)
+        y[m + at + 3 : m + at + 6] = measured.Omega0 - s.Omega0
     if m > 3 * n + 6:
         at = 3 * n + 6
-        seen_q, seen_omega = turned(seen.q, -yaw), turned(seen.omega, -yaw)
+        measured_q, measured_omega = in_yaw_frame(measured.q, -yaw), in_yaw_frame(measured.omega, -yaw)
         for i in range(n):
             for j in range(system.n_links[i]):
-                if np.isfinite(seen_q[i, j, 0]):
+                if np.isfinite(measured_q[i, j, 0]):
                     C = lie.tangent_basis(s.q[i, j])
-                    xi = lie.direction_to(s.q[i, j], seen_q[i, j])
-                    w = seen_omega[i, j] - s.omega[i, j]
+                    xi = lie.direction_to(s.q[i, j], measured_q[i, j])
+                    w = measured_omega[i, j] - s.omega[i, j]
                     for b in range(2):
                         y[at + b] = xi[0] * C[0, b] + xi[1] * C[1, b] + xi[2] * C[2, b]
                         y[m + at + b] = w[0] * C[0, b] + w[1] * C[1, b] + w[2] * C[2, b]

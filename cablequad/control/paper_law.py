@@ -14,7 +14,7 @@ from cablequad.control.geometric import AttitudeCommand, attitude_command, momen
 from cablequad.control.jerk import jerks, link_accelerations
 from cablequad.model import lie
 from cablequad.model.dynamics import accelerations
-from cablequad.model.integrate import Command
+from cablequad.model.integrate import RotorOutput
 from cablequad.model.state import State, local
 from cablequad.types import Array
 
@@ -56,7 +56,7 @@ def ideal_forces(design: Design, x0_d: Array, state: State) -> IdealForces:
     return IdealForces(A, A_dot, A_ddot)
 
 
-def commands(design: Design, gains: Gains, x0_d: Array, state: State) -> tuple[Command, list[AttitudeCommand]]:
+def commands(design: Design, gains: Gains, x0_d: Array, state: State) -> tuple[RotorOutput, list[AttitudeCommand]]:
     """f_i and M_i of the paper for `state`, with the commanded frames R_ic, Omega_ic, Omega_ic_dot behind them."""
     ideal = ideal_forces(design, x0_d, state)
     n = len(design.system.m)
@@ -68,7 +68,7 @@ def commands(design: Design, gains: Gains, x0_d: Array, state: State) -> tuple[C
             for i in range(n)
         ]
     )
-    return Command(np.clip(f, 0.0, design.airframe.max_thrust), M), frames
+    return RotorOutput(np.clip(f, 0.0, design.airframe.max_thrust), M), frames
 
 
 def _pack(design: Design, x0: Array, attitude: Array, links: Array) -> Array:

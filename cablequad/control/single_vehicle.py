@@ -39,9 +39,9 @@ class Flown(NamedTuple):
 
 
 @jit
-def integrated(lasting: Array, x: Array, goals: Goals, period: float) -> Array:
+def integrated(integral: Array, x: Array, goals: Goals, period: float) -> Array:
     """The integrals (n, 3) m/s^2 a period later; they rest where a vehicle does not fly."""
-    out = lasting.copy()
+    out = integral.copy()
     for i in range(x.shape[0]):
         for b in range(3):
             moved = out[i, b] + INTEGRAL * period * (goals.x[i, b] - x[i, b])
@@ -50,7 +50,7 @@ def integrated(lasting: Array, x: Array, goals: Goals, period: float) -> Array:
 
 
 @jit
-def fly_each(design: Design, x: Array, v: Array, R: Array, lasting: Array, goals: Goals, R_before: Array) -> Flown:
+def fly_each(design: Design, x: Array, v: Array, R: Array, integral: Array, goals: Goals, R_before: Array) -> Flown:
     """Attitudes and thrusts that fly vehicles at x, v (n, 3), R (n, 3, 3) towards `goals`."""
     system = design.system
     n = x.shape[0]
@@ -58,7 +58,7 @@ def fly_each(design: Design, x: Array, v: Array, R: Array, lasting: Array, goals
     for i in range(n):
         m, power = system.m[i], goals.power[i]
         for b in range(3):
-            pull = STIFFNESS * (goals.x[i, b] - x[i, b]) + DAMPING * (goals.v[i, b] - v[i, b]) + lasting[i, b]
+            pull = STIFFNESS * (goals.x[i, b] - x[i, b]) + DAMPING * (goals.v[i, b] - v[i, b]) + integral[i, b]
             A[i, b] = m * (goals.a[i, b] + pull)
         A[i, 2] -= m * system.g + goals.hung[i]
         up = max(-A[i, 2], LEAST * m * system.g)

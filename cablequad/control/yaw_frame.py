@@ -1,4 +1,4 @@
-"""Vectors, frames and states seen from a frame turned about e3: the linear model holds in the one of the load's yaw."""
+"""Vectors, frames and states expressed in a frame turned about e3; the linear model holds in the load's yaw frame."""
 
 import numpy as np
 
@@ -16,7 +16,7 @@ def about_down(angle: float) -> Array:
 
 
 @jit
-def turned(vectors: Array, angle: float) -> Array:
+def in_yaw_frame(vectors: Array, angle: float) -> Array:
     """Vectors (..., 3) of the world, turned by `angle` rad about e3."""
     c, s = np.cos(angle), np.sin(angle)
     out = np.empty_like(vectors)
@@ -27,7 +27,7 @@ def turned(vectors: Array, angle: float) -> Array:
 
 
 @jit
-def turned_frames(R: Array, angle: float) -> Array:
+def frames_in_yaw_frame(R: Array, angle: float) -> Array:
     """Frames (n, 3, 3), B -> W, turned by `angle` rad about e3."""
     out = np.empty_like(R)
     spin = about_down(angle)
@@ -37,17 +37,22 @@ def turned_frames(R: Array, angle: float) -> Array:
 
 
 @jit
-def turned_state(s: State, angle: float) -> State:
+def state_in_yaw_frame(s: State, angle: float) -> State:
     """Everything turned by `angle` rad about e3."""
     return State(
-        turned(s.x0, angle), turned(s.v0, angle), about_down(angle) @ s.R0, s.Omega0, turned(s.q, angle),
-        turned(s.omega, angle), turned_frames(s.R, angle), s.Omega,
+        in_yaw_frame(s.x0, angle), in_yaw_frame(s.v0, angle), about_down(angle) @ s.R0, s.Omega0,
+        in_yaw_frame(s.q, angle), in_yaw_frame(s.omega, angle), frames_in_yaw_frame(s.R, angle), s.Omega,
     )  # fmt: skip
 
 
 @jit
-def turned_reference(r: Reference, angle: float) -> Reference:
+def reference_in_yaw_frame(r: Reference, angle: float) -> Reference:
     """A reference turned by `angle` rad about e3; its own yaw stays as it is."""
     return Reference(
-        turned(r.x0, angle), turned(r.v0, angle), turned(r.a0, angle), turned(r.j0, angle), turned(r.s0, angle), r.yaw
+        in_yaw_frame(r.x0, angle),
+        in_yaw_frame(r.v0, angle),
+        in_yaw_frame(r.a0, angle),
+        in_yaw_frame(r.j0, angle),
+        in_yaw_frame(r.s0, angle),
+        r.yaw,
     )

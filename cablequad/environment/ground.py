@@ -12,7 +12,7 @@ import numpy as np
 
 from cablequad._jit import inlined, jit
 from cablequad.model import lie
-from cablequad.model.integrate import Command, Scratch, clear, derive, finish, stage
+from cablequad.model.integrate import RotorOutput, Scratch, clear, derive, finish, stage
 from cablequad.model.state import State, positions, velocities
 from cablequad.model.system import System
 from cablequad.types import Array, Triple
@@ -61,10 +61,10 @@ def ground(system: System, z: float, corners: Array, feet: Array, h: float, fric
     )
 
 
-def contact(mass: float, bounce: float, points: int, felt: float, g: float, h: float) -> Contact:
+def contact(mass: float, bounce: float, points: int, noticed: float, g: float, h: float) -> Contact:
     """One of the `points` that a body of `mass` kg stands on, where it feels like `felt` kg; `bounce` in rad/s."""
     stiffness = mass * bounce**2 / points
-    return Contact(stiffness, 2.0 * DAMPING * mass * bounce / points, g / bounce**2, felt / (2.0 * h))
+    return Contact(stiffness, 2.0 * DAMPING * mass * bounce / points, g / bounce**2, noticed / (2.0 * h))
 
 
 def box_corners(box: tuple[float, float, float]) -> Array:
@@ -107,8 +107,8 @@ def _corner(g: Ground, c: Array, x: Triple, v: Triple, R: Array, O: Array, r: Ar
 
 
 @inlined
-def press(system: System, at: State, g: Ground, held: Command, command: Command, s: Scratch) -> None:
-    """Add what the ground does in state `at`: to s.on_vehicles, s.work, and to `held` moments into `command`."""
+def press(system: System, at: State, g: Ground, commanded: RotorOutput, command: RotorOutput, s: Scratch) -> None:
+    """Add the forces of the ground in state `at` to s.on_vehicles and s.work; `commanded` and its moments to `command`."""
     work = s.work
     x, v = positions(system, at), velocities(system, at)
     for k in range(g.corners.shape[0]):
@@ -124,7 +124,7 @@ def press(system: System, at: State, g: Ground, held: Command, command: Command,
             for a in range(3):
                 work.on_nodes[i, j, a] += f[a]
         for a in range(3):
-            command.moment[i, a] = held.moment[i, a]
+            command.moment[i, a] = commanded.moment[i, a]
         for k in range(g.feet.shape[0]):
             here, moving = (x[i, 0, 0], x[i, 0, 1], x[i, 0, 2]), (v[i, 0, 0], v[i, 0, 1], v[i, 0, 2])
             f, turn = _corner(g, g.foot[i], here, moving, at.R[i], at.Omega[i], g.feet[k])
@@ -133,7 +133,7 @@ def press(system: System, at: State, g: Ground, held: Command, command: Command,
                 command.moment[i, a] += turn[a]
 
 
-class Held(NamedTuple):
+class ExternalForces(NamedTuple):
     """What acts from outside besides the ground, kept while stages add the ground's part."""
 
     on_vehicles: Array  # (n, 3) N, W
@@ -142,39 +142,41 @@ class Held(NamedTuple):
 
 
 @jit
-def nothing(system: System) -> Held:
+def no_external_forces(system: System) -> ExternalForces:
     """Nothing acts besides the ground."""
     n, L = system.length.shape
-    return Held(np.zeros((n, 3)), np.zeros(3), np.zeros((n, L, 3)))
+    return ExternalForces(np.zeros((n, 3)), np.zeros(3), np.zeros((n, L, 3)))
 
 
 @jit
-def kept(s: Scratch) -> Held:
+def external_forces(s: Scratch) -> ExternalForces:
     """Copies of what acts from outside now."""
-    return Held(s.on_vehicles.copy(), s.work.on_payload.copy(), s.work.on_nodes.copy())
+    return ExternalForces(s.on_vehicles.copy(), s.work.on_payload.copy(), s.work.on_nodes.copy())
 
 
 @inlined
-def _outside(held: Held, s: Scratch) -> None:
+def _outside(external: ExternalForces, s: Scratch) -> None:
     """Back to what acts besides the ground."""
-    s.on_vehicles[:] = held.on_vehicles
-    s.work.on_payload[:] = held.on_payload
+    s.on_vehicles[:] = external.on_vehicles
+    s.work.on_payload[:] = external.on_payload
     s.work.turning[:] = 0.0
-    s.work.on_nodes[:] = held.on_nodes
+    s.work.on_nodes[:] = external.on_nodes
 
 
 @jit
-def advance_on(system: System, state: State, command: Command, h: float, g: Ground, held: Held, s: Scratch) -> None:
-    """One step of `h` s in place, as `integrate.advance`, over the ground and under `held`.
+def advance_on(
+    system: System, state: State, command: RotorOutput, h: float, g: Ground, external: ExternalForces, s: Scratch
+) -> None:
+    """One step of `h` s in place, as `integrate.advance`, over the ground and under `external`.
 
-    `s` is left with `held` and the forces of the ground as they were last.
+    `s` is left with `external` and the forces of the ground as they were last.
     """
-    pressed = Command(command.thrust, command.moment.copy())
+    pressed = RotorOutput(command.thrust, command.moment.copy())
     s.work.loaded[0] = True
     clear(s)
     for k in range(4):
         at = state if k == 0 else s.stage
-        _outside(held, s)
+        _outside(external, s)
         press(system, at, g, command, pressed, s)
         derive(system, at, pressed, s)
         weight = h / 6.0 if k in (0, 3) else h / 3.0

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cablequad._jit import jit
-from cablequad.model.integrate import Command
+from cablequad.model.integrate import RotorOutput
 from cablequad.types import Array
 
 FORWARD = np.array([1.0, -1.0, 1.0, -1.0])  # of the rotors, times the arm / sqrt 2
@@ -30,7 +30,7 @@ class Rotors(NamedTuple):
 
 
 @jit
-def spin(rotors: Rotors, command: Command, thrust: Array, h: float) -> None:
+def spin(rotors: Rotors, command: RotorOutput, thrust: Array, h: float) -> None:
     """Turn `command` into what the rotors give in a step of `h` s; `thrust` (n, 4) N, of each rotor, moves on."""
     asked = np.empty_like(thrust)
     for i in range(thrust.shape[0]):
@@ -48,7 +48,7 @@ def spin(rotors: Rotors, command: Command, thrust: Array, h: float) -> None:
 
 
 @jit
-def drive(rotors: Rotors, asked: Array, command: Command, thrust: Array, h: float) -> None:
+def drive(rotors: Rotors, asked: Array, command: RotorOutput, thrust: Array, h: float) -> None:
     """Let rotors that are `asked` for (n, 4) N each move on by `h` s; `command` becomes what they give together."""
     for i in range(thrust.shape[0]):
         lever, most = rotors.arm[i] / np.sqrt(2.0), rotors.most[i]

@@ -10,7 +10,7 @@ from cablequad.types import Array
 
 
 @jit
-def fly_loose(
+def fly_untethered(
     m: Array,
     g: float,
     airframe: Airframe,

@@ -5,14 +5,14 @@ from typing import NamedTuple
 import numpy as np
 
 from cablequad._jit import jit
-from cablequad.boxed import Held
+from cablequad.boxed import Boxed
 from cablequad.environment.air import Air, drag
-from cablequad.environment.ground import Ground, advance_on, kept
+from cablequad.environment.ground import Ground, advance_on, external_forces
 from cablequad.environment.rotors import Rotors, drive, spin
 from cablequad.model import lie
 from cablequad.model.attitude import Airframe, Setpoint, fly, moments
 from cablequad.model.instant import row
-from cablequad.model.integrate import Command, Scratch, advance, look
+from cablequad.model.integrate import RotorOutput, Scratch, advance, look
 from cablequad.model.state import State
 from cablequad.model.system import System
 from cablequad.types import Array
@@ -41,33 +41,33 @@ class Whole(NamedTuple):
     state: State
     world: World
     rotor_thrust: Array  # (n, 4) N
-    command: Command  # what the rotors gave last
+    command: RotorOutput  # what the rotors gave last
     work: Scratch
 
 
 @jit
-def seen(system: System, state: State, thrust: Array, work: Scratch) -> Array:
+def observe(system: System, state: State, thrust: Array, work: Scratch) -> Array:
     """`integrate.look`, and all else of the instant, as an `instant.row`."""
     x, v, tension = look(system, state, thrust, work)
     return row(state, x, v, tension, thrust)
 
 
 @jit
-def fly_alone(held: Held[Whole], setpoint: Setpoint, h: float, steps: int) -> Array:
-    """`attitude.fly` with nothing around, and what is `seen` then.
+def fly_alone(boxed: Boxed[Whole], setpoint: Setpoint, h: float, steps: int) -> Array:
+    """`attitude.fly` with nothing around, and what `observe` gives then.
 
     The setpoint's thrusts are within the rotors' limits.
     """
-    w = held.value
+    w = boxed.value
     fly(w.system, w.airframe, setpoint, w.state, h, steps, w.work)
     w.command.thrust[:] = setpoint.thrust
-    return seen(w.system, w.state, setpoint.thrust, w.work)
+    return observe(w.system, w.state, setpoint.thrust, w.work)
 
 
 @jit
-def fly_in(held: Held[Whole], setpoint: Setpoint, h: float, wind: Array) -> Array:
+def fly_in(boxed: Boxed[Whole], setpoint: Setpoint, h: float, wind: Array) -> Array:
     """`fly_alone` in a world whose air moves with `wind` (steps, 3) m/s, W, held over each step of `h` s."""
-    w = held.value
+    w = boxed.value
     system, state, world, command, work = w.system, w.state, w.world, w.command, w.work
     for k in range(wind.shape[0]):
         if world.has[DRIVEN] > 0.0:
@@ -85,20 +85,20 @@ def fly_in(held: Held[Whole], setpoint: Setpoint, h: float, wind: Array) -> Arra
         if world.downwash > 0.0:
             _blow(system, state, world, command, work)
         if world.has[GROUND] > 0.0:
-            advance_on(system, state, command, h, world.ground, kept(work), work)
+            advance_on(system, state, command, h, world.ground, external_forces(work), work)
         else:
             advance(system, state, command, h, 1, work)
-    return seen(system, state, command.thrust, work)
+    return observe(system, state, command.thrust, work)
 
 
 @jit
-def turn_on_stands(held: Held[Whole], h: float, steps: int) -> None:
+def turn_on_stands(boxed: Boxed[Whole], h: float, steps: int) -> None:
     """Vehicles on stands that hold their places and leave their attitudes free, under rotors that are driven.
 
     Cables are tied to centres of mass: attitudes turn by the rotors' moments alone. One midpoint step of Euler's
     equations for each `h` s. A vehicle whose rotors do not turn stays as it is.
     """
-    w = held.value
+    w = boxed.value
     system, state, world, command = w.system, w.state, w.world, w.command
     for _ in range(steps):
         drive(world.rotors, world.asked, command, w.rotor_thrust, h)
@@ -115,7 +115,7 @@ def turn_on_stands(held: Held[Whole], h: float, steps: int) -> None:
 
 
 @jit
-def _blow(system: System, state: State, world: World, command: Command, work: Scratch) -> None:
+def _blow(system: System, state: State, world: World, command: RotorOutput, work: Scratch) -> None:
     """Vehicles' wakes push the load: the further from their axes the less."""
     work.work.loaded[0] = True
     for i in range(system.m.shape[0]):

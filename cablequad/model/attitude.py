@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from cablequad._jit import inlined, jit
 from cablequad.model import lie
-from cablequad.model.integrate import Command, Scratch, advance, scratch
+from cablequad.model.integrate import RotorOutput, Scratch, advance, scratch
 from cablequad.model.state import State
 from cablequad.model.system import System
 from cablequad.types import Array, Triple
@@ -67,7 +67,7 @@ def angular_acceleration(airframe: Airframe, setpoint: Setpoint, i: int, R: Arra
 
 
 @inlined
-def moments(system: System, airframe: Airframe, setpoint: Setpoint, state: State, command: Command) -> None:
+def moments(system: System, airframe: Airframe, setpoint: Setpoint, state: State, command: RotorOutput) -> None:
     """Write the loops' moments (n, 3) N m and the limited thrusts (n,) N into `command`."""
     for i in range(system.m.shape[0]):
         O = (state.Omega[i, 0], state.Omega[i, 1], state.Omega[i, 2])
@@ -91,7 +91,7 @@ def fly(
 ) -> None:
     """Advance `state` in place by `steps` steps of `h` s with the attitude loops closed at every step."""
     n = system.m.shape[0]
-    command = Command(np.zeros(n), np.zeros((n, 3)))
+    command = RotorOutput(np.zeros(n), np.zeros((n, 3)))
     for _ in range(steps):
         moments(system, airframe, setpoint, state, command)
         advance(system, state, command, h, 1, work)

@@ -15,7 +15,7 @@ OUTPUTS = ("load x", "load y", "load z", "load yaw", "load roll", "load pitch")
 OUTPUT_AT = (0, 1, 2, 5, 3, 4)  # where they stand in x
 
 
-class Reach(NamedTuple):
+class Modes(NamedTuple):
     """The coordinates of the motions that forces reach: x = shapes xi, xi = coordinates x."""
 
     shapes: Array  # (D, k)
@@ -31,17 +31,17 @@ def coordinate_names(system: System) -> list[str]:
     return out
 
 
-def reach(system: System) -> Reach:
+def controllable(system: System) -> Modes:
     """The undamped modes of `linearize` that B excites; of a family of equal frequency, the part that it excites."""
     return _split(system, linearize(system)[2], None)
 
 
-def observed(system: System, C: Array) -> Reach:
+def observable(system: System, C: Array) -> Modes:
     """The undamped modes that `C` (m, D) shows; of a family of equal frequency, the part that it shows."""
     return _split(system, None, C)
 
 
-def _split(system: System, B: Array | None, C: Array | None) -> Reach:
+def _split(system: System, B: Array | None, C: Array | None) -> Modes:
     """Modes by whether they touch the columns of B (forces) or the rows of C (measurements).
 
     The rows of the links, multiplied by their lengths, make M and G symmetric, so modes are real and M-orthogonal.
@@ -70,10 +70,10 @@ def _split(system: System, B: Array | None, C: Array | None) -> Reach:
     names = coordinate_names(system)
     outside[3:6] = equilibrium(system).R0 @ outside[3:6]  # a tilted load's turns are named by the world's axes
     missing = tuple(names[int(np.argmax(np.abs(shape)))] for shape in outside.T)
-    return Reach(shapes, shapes.T @ M, missing)
+    return Modes(shapes, shapes.T @ M, missing)
 
 
-def held_outputs(system: System, reached: Reach) -> list[int]:
+def integrable_outputs(system: System, reached: Modes) -> list[int]:
     """Which of `OUTPUTS` constant forces can set, each on top of those before it: they can be free of lasting error."""
     _, G, B = linearize(system)
     still = reached.shapes @ (reached.coordinates @ linalg.null_space(np.hstack([G, -B]))[: len(G)])

@@ -91,11 +91,11 @@ def row(state: State, x: Array, v: Array, tension: Array, thrust: Array) -> Arra
 
 
 @jit
-def felt(row: Array, L: int, m: Array, g: float, pushed: Array, held: bool) -> Array:
+def specific_force(row: Array, L: int, m: Array, g: float, pushed: Array, restrained: bool) -> Array:
     """(n, 3) m/s^2, body frames: what accelerometers read at the instant in `row`.
 
     Vehicles of mass m (n,) kg are under their cables, rotors and `pushed` (n, 3) N, W, from outside; where they are
-    `held`, what carries them is all that they feel.
+    `restrained`, what carries them is all that their accelerometers read.
     """
     n = len(m)
     at = places(n, L)
@@ -104,7 +104,7 @@ def felt(row: Array, L: int, m: Array, g: float, pushed: Array, held: bool) -> A
         own = at.R + 9 * i
         for a in range(3):
             force[a] = -g if a == 2 else 0.0
-            if not held:
+            if not restrained:
                 pull = row[at.tension + i * L] * row[at.q + 3 * i * L + a]
                 force[a] = (pull + pushed[i, a] - row[at.thrust + i] * row[own + 3 * a + 2]) / m[i]
         for a in range(3):

@@ -20,7 +20,7 @@ from cablequad.types import Array, Triple
 BODY, WORLD = 1.0, -1.0  # rates of frames are body rates, R' = R hat(w); rates of directions world rates, q' = w x q
 
 
-class Command(NamedTuple):
+class RotorOutput(NamedTuple):
     """What the rotors of every quadrotor do, held over a step."""
 
     thrust: Array  # (n,) N, f_i along -R_i e3
@@ -53,11 +53,11 @@ class Scratch(NamedTuple):
     work: Workspace
 
 
-def step(system: System, state: State, command: Command, h: float) -> State:
+def step(system: System, state: State, command: RotorOutput, h: float) -> State:
     """The state `h` seconds later under `command` held constant. Order 4; |q| = 1 and R'R = I to rounding."""
     out = state.copy()
-    held = Command(*(np.ascontiguousarray(a, dtype=float) for a in command))
-    advance(system, out, held, h, 1, scratch(system, out))
+    constant = RotorOutput(*(np.ascontiguousarray(a, dtype=float) for a in command))
+    advance(system, out, constant, h, 1, scratch(system, out))
     return out
 
 
@@ -91,7 +91,7 @@ def _tangent(n: int, L: int) -> Tangent:
 
 
 @jit
-def advance(system: System, state: State, command: Command, h: float, steps: int, s: Scratch) -> None:
+def advance(system: System, state: State, command: RotorOutput, h: float, steps: int, s: Scratch) -> None:
     """`steps` steps of length `h` in place, without allocation."""
     for _ in range(steps):
         clear(s)
@@ -133,7 +133,7 @@ def clear(s: Scratch) -> None:
 
 
 @inlined
-def derive(system: System, at: State, command: Command, s: Scratch) -> None:
+def derive(system: System, at: State, command: RotorOutput, s: Scratch) -> None:
     """Accelerations at `at`: payload and links, and J Omega_dot = M - Omega x J Omega of each quadrotor."""
     for i in range(system.m.shape[0]):
         O = (at.Omega[i, 0], at.Omega[i, 1], at.Omega[i, 2])

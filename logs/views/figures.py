@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from cablequad.types import Array
 from logs.reading.columns import CARRYING, flown
 from logs.reading.reader import LogError, Run
-from logs.views.motion import Motion, motion_of, rotate
+from logs.views.motion import MotionHistory, motion_of, rotate
 from logs.writing.encode import color
 
 AXES = ("#d55e00", "#009e73", "#0072b2")  # x, y, z: told apart by colour-blind readers, and by their line styles
@@ -183,7 +183,7 @@ def _vehicles(ax: Axes, t: Array, values: Array, label: str) -> None:
     ax.legend(fontsize=8, ncols=2, title="vehicle", title_fontsize=8, loc="best")
 
 
-def _box(m: Motion, row: int) -> Array:
+def _box(m: MotionHistory, row: int) -> Array:
     """(8, 3) m: the load's corners."""
     half = 0.5 * np.array(m.model["box_m"])
     corners = np.array([[a, b, c] for a in (-1, 1) for b in (-1, 1) for c in (-1, 1)]) * half
@@ -193,13 +193,13 @@ def _box(m: Motion, row: int) -> Array:
 EDGES = [(a, b) for a in range(8) for b in range(a + 1, 8) if bin(a ^ b).count("1") == 1]
 
 
-def _arms(m: Motion, row: int, i: int) -> Array:
+def _arms(m: MotionHistory, row: int, i: int) -> Array:
     """(4, 3) m: the rotors of vehicle i."""
     tips = 0.17 * np.array([(1, 1, 0), (-1, -1, 0), (1, -1, 0), (-1, 1, 0)]) / np.sqrt(2)
     return m.quads[row, i] + rotate(m.quats[row, i][None], tips)[0]
 
 
-def _segments(m: Motion, row: int) -> list[tuple[Array, Any, float]]:
+def _segments(m: MotionHistory, row: int) -> list[tuple[Array, Any, float]]:
     """Lines (k, 3) with colour and width: the load's edges, cables, arms."""
     corners = _box(m, row)
     lines: list[tuple[Array, Any, float]] = [(corners[list(edge)], "#3b5b9d", 1.0) for edge in EDGES]
@@ -210,14 +210,14 @@ def _segments(m: Motion, row: int) -> list[tuple[Array, Any, float]]:
     return lines
 
 
-def _space(ax: Any, m: Motion, row: int) -> None:
+def _space(ax: Any, m: MotionHistory, row: int) -> None:
     """One instant, as large as it fits."""
     here = m.nodes[row].reshape(-1, 3)
     middle, reach = here.mean(axis=0), 0.62 * float(np.ptp(here, axis=0).max())
     draw_space(ax, m, row, middle - reach, middle + reach)
 
 
-def draw_space(ax: Any, m: Motion, row: int, low: Array, high: Array) -> None:
+def draw_space(ax: Any, m: MotionHistory, row: int, low: Array, high: Array) -> None:
     """One instant in a 3D axes that shows `low` to `high` (3,) m, z pointing down."""
     for points, shade, width in _segments(m, row):
         ax.plot(points[:, 0], points[:, 1], points[:, 2], color=shade, linewidth=width)
@@ -228,7 +228,7 @@ def draw_space(ax: Any, m: Motion, row: int, low: Array, high: Array) -> None:
     ax.set_axis_off()
 
 
-def _flat(ax: Axes, m: Motion, row: int, a: int, b: int) -> None:
+def _flat(ax: Axes, m: MotionHistory, row: int, a: int, b: int) -> None:
     for points, shade, width in _segments(m, row):
         ax.plot(points[:, a], points[:, b], color=shade, linewidth=0.8 * width)
     ax.plot(*np.array(m.model["target_m"])[[a, b]], "+", color="#d55e00", markersize=6)

@@ -11,7 +11,7 @@ from logs.reading.reader import LogError, Run
 SCENE_HZ = 50.0
 
 
-class Motion(NamedTuple):
+class MotionHistory(NamedTuple):
     """A run as arrays over time, from the truth where there is one, else from what was measured."""
 
     t: Array  # (T,) s since the release
@@ -27,7 +27,7 @@ class Motion(NamedTuple):
     commanded: Array | None  # (T, n, 4) wxyz: attitudes asked of the vehicles; NaN before the first
 
 
-def motion_of(run: Run, hz: float = SCENE_HZ) -> Motion:
+def motion_of(run: Run, hz: float = SCENE_HZ) -> MotionHistory:
     """The run's motion at most `hz` times a second. Raises LogError where the log holds none."""
     if "model" not in run.metadata:
         raise LogError(f"log {run.path}: no model in it; it was not written by cablequad or is cut at its very start")
@@ -61,7 +61,7 @@ def motion_of(run: Run, hz: float = SCENE_HZ) -> Motion:
             believed[~heard] = np.nan
     tension = of("tension")
     tension = tension.reshape(-1, n, L) if truth is not None else np.repeat(tension[:, :, None], L, axis=2)
-    return Motion(
+    return MotionHistory(
         t, x0, quat0, nodes[:, :, 0], of("quad_attitude").reshape(-1, n, 4), nodes, tension, of("thrust"), model,
         believed, commanded,
     )  # fmt: skip

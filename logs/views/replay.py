@@ -9,7 +9,7 @@ import rerun.blueprint as rrb
 
 from cablequad.types import Array
 from logs.reading.reader import Run, frame_headers, missing_before
-from logs.views.motion import Motion, motion_of, rotate, shade, thin
+from logs.views.motion import MotionHistory, motion_of, rotate, shade, thin
 from logs.writing.encode import ALARMING, color
 
 TIMELINE = "sim_time"
@@ -36,7 +36,9 @@ def save(run: Run, path: Path, other: Run | None = None) -> None:
     out.disconnect()
 
 
-def log(out: rr.RecordingStream, run: Run, m: Motion, other: tuple[Run, Motion] | None = None, told: int = 0) -> None:
+def log(
+    out: rr.RecordingStream, run: Run, m: MotionHistory, other: tuple[Run, MotionHistory] | None = None, told: int = 0
+) -> None:
     """Send everything, but for the first `told` events."""
     _bodies(out, m)
     _cables(out, m)
@@ -49,7 +51,7 @@ def log(out: rr.RecordingStream, run: Run, m: Motion, other: tuple[Run, Motion] 
         _plots(out, *other, GHOST)
 
 
-def layout(m: Motion) -> rrb.Blueprint:
+def layout(m: MotionHistory) -> rrb.Blueprint:
     """3D and the phases on the left, plots on the right."""
     seen = np.concatenate(
         [m.nodes.reshape(-1, 3), m.nodes[0].reshape(-1, 3) + (np.array(m.model["target_m"]) - m.x0[0])]
@@ -106,7 +108,7 @@ def layout(m: Motion) -> rrb.Blueprint:
     )
 
 
-def _bodies(out: rr.RecordingStream, m: Motion) -> None:
+def _bodies(out: rr.RecordingStream, m: MotionHistory) -> None:
     when, model = [_time(m.t)], m.model
     out.log("world", rr.ViewCoordinates.FRD, static=True)
     half = 0.5 * np.array(model["box_m"])
@@ -158,7 +160,7 @@ def log_trail(out: rr.RecordingStream, x0: Array) -> None:
     out.log("world/trail", rr.LineStrips3D([x0], colors=[(170, 175, 205)], radii=[0.006]), static=True)
 
 
-def _cables(out: rr.RecordingStream, m: Motion) -> None:
+def _cables(out: rr.RecordingStream, m: MotionHistory) -> None:
     """Every link as a strip of its own, coloured by its tension; a link that pushes is magenta and thick."""
     when = [_time(m.t)]
     released = m.t >= 0
@@ -178,7 +180,7 @@ def _cables(out: rr.RecordingStream, m: Motion) -> None:
         )
 
 
-def _intentions(out: rr.RecordingStream, m: Motion) -> None:
+def _intentions(out: rr.RecordingStream, m: MotionHistory) -> None:
     """What was asked and believed beside what was: commanded thrust axes, and cables as the controller took them."""
     if m.commanded is not None:
         known = np.isfinite(m.commanded[:, 0, 0])
@@ -197,7 +199,7 @@ def _intentions(out: rr.RecordingStream, m: Motion) -> None:
             out.send_columns(name, [_time(m.t[known])], rr.LineStrips3D.columns(strips=strips))
 
 
-def _ghost(out: rr.RecordingStream, m: Motion) -> None:
+def _ghost(out: rr.RecordingStream, m: MotionHistory) -> None:
     """Another run in the same scene, grey: its load, cables and vehicles."""
     when, grey = [_time(m.t)], (165, 165, 175, 120)
     half = 0.5 * np.array(m.model["box_m"])
@@ -217,7 +219,7 @@ def _arms() -> list[Array]:
     return [tips[:2], tips[2:]]
 
 
-def _plots(out: rr.RecordingStream, run: Run, m: Motion, mark: str) -> None:
+def _plots(out: rr.RecordingStream, run: Run, m: MotionHistory, mark: str) -> None:
     """Curves of one run; `mark` tells those of a second run apart, in paths and names."""
     n = m.quads.shape[1]
     vehicles = [f"{i + 1}{mark}" for i in range(n)]

@@ -64,11 +64,11 @@ def rows(value: Any, which: Sequence[int]) -> Any:
     return type(value)(*(rows(f, which) if isinstance(f, tuple) else f[which] for f in value))
 
 
-def plants(boot_us: Sequence[int], held: Sequence[bool], m: Motion) -> list[bytes]:
+def plants(boot_us: Sequence[int], restrained: Sequence[bool], m: Motion) -> list[bytes]:
     """/plant/state, of as many instants as `m` has rows."""
     s = m.state
     return serialized(pb.PlantState, len(boot_us), (
-        ("sim_time_ns", [us * 1000 for us in boot_us]), ("step", [us // 1000 for us in boot_us]), ("held", held),
+        ("sim_time_ns", [us * 1000 for us in boot_us]), ("step", [us // 1000 for us in boot_us]), ("held", restrained),
         ("payload_position", s.x0), ("payload_velocity", s.v0),
         ("payload_attitude", _quats(s.R0)), ("payload_rate", s.Omega0),
         ("quad_position", m.x), ("quad_velocity", m.v), ("quad_attitude", _quats(s.R)), ("quad_rate", s.Omega),
@@ -88,11 +88,11 @@ def controls(
         ("e_Omega0", e.x_dot[:, 3:6]), ("Psi", sample.Psi), ("e_Omega", s.Omega),
         ("e_q", _floats(sample.e_q)), ("e_w", _floats(sample.e_omega)),
         ("ideal_force", sample.A), ("thrust", sample.f),
-        ("attitude", _quats(sample.R_c)), ("under_way", sample.memory.under_way), ("state_age", age_s),
+        ("attitude", _quats(sample.R_c)), ("under_way", sample.memory.pending), ("state_age", age_s),
         ("position", s.x0), ("velocity", s.v0), ("tension", tension),
         ("payload_attitude", _quats(s.R0)),
         ("quad_attitude", _quats(s.R)), ("link_direction", s.q),
-        ("lasting", sample.memory.lasting), ("calm", _floats(sample.memory.calm[:, 0])),
+        ("lasting", sample.memory.integral), ("calm", _floats(sample.memory.damping_share[:, 0])),
     ))  # fmt: skip
 
 
@@ -153,13 +153,13 @@ def transforms(model: Model, m: Motion, ns: Sequence[int], first: bool) -> list[
     turned = np.ascontiguousarray(turned[..., [1, 2, 3, 0]])
     pairs, ends = _pairs(model.system.n_links.tobytes())
     out = np.empty(len(pairs) + 120 * len(ends), np.uint8)
-    told = []
+    messages = []
     for k, now in enumerate(ns):
         stamp = np.frombuffer(_stamp(now).SerializeToString(), np.uint8)
         skip = 0 if first and k == 0 else 1
         size = layout.transforms(stamp, pairs, ends, moved[k, skip:], turned[k, skip:], out)
-        told.append(out[:size].tobytes())
-    return told
+        messages.append(out[:size].tobytes())
+    return messages
 
 
 _WORLD = np.array([0.0, 0.0, 0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5), 0.0])  # of map_enu: position and w, x, y, z
@@ -173,8 +173,8 @@ def _pairs(n_links: bytes) -> tuple[Bytes, Counts]:
     children += [_link_frame(i, j) for i, k in enumerate(links) for j in range(k)]
     pairs = [("map_enu", "world_ned"), *(("world_ned", child) for child in children)]
     named = [FrameTransform(parent_frame_id=parent, child_frame_id=child) for parent, child in pairs]
-    told = [message.SerializeToString() for message in named]
-    return np.frombuffer(b"".join(told), np.uint8), np.cumsum([len(part) for part in told])
+    serialized_all = [message.SerializeToString() for message in named]
+    return np.frombuffer(b"".join(serialized_all), np.uint8), np.cumsum([len(part) for part in serialized_all])
 
 
 def _link_frame(i: int, j: int) -> str:

@@ -23,7 +23,7 @@ from cablequad.model.state import Difference
 from logs.schema import cablequad_pb2 as pb
 from logs.writing import encode
 from logs.writing.encode import Model
-from logs.writing.serialize import LogWriter, Waiting
+from logs.writing.serialize import LogWriter, PendingMessages
 
 FLUSH_S = 0.4  # with what waits elsewhere for less than 0.1 s, no more than 0.5 s is lost
 SYNC_S = 2.0
@@ -109,7 +109,7 @@ class Recorder:
         self._epoch_ns = epoch_ns
         self._channels: dict[str, int] = {}
         self._rooms = {way: _Rooms(way) for way in ("rx", "tx")}
-        self._waiting = Waiting()
+        self._waiting = PendingMessages()
         self._last_tf_ns = -TF_NS
         self._first = True  # of these
         self._with_truth = with_truth
@@ -135,14 +135,16 @@ class Recorder:
 
     # -- what is to be written, in its order; `settle` writes it -------------------------------------------------------
 
-    def truths(self, boot_us: Sequence[int], held: Sequence[bool], motion: Motion) -> list[list[Message]]:
+    def truths(self, boot_us: Sequence[int], restrained: Sequence[bool], motion: Motion) -> list[list[Message]]:
         """What is to be written of each of the simulator's states, for `write`; `motion` has a row for each."""
-        told: list[list[Message]] = [[("/plant/state", data)] for data in encode.plants(boot_us, held, motion)]
+        messages: list[list[Message]] = [
+            [("/plant/state", data)] for data in encode.plants(boot_us, restrained, motion)
+        ]
         due = self._drawn(boot_us)
         if due:
             for k, data in self._transforms(boot_us, due, encode.rows(motion, due)):
-                told[k].append(("/tf", data))
-        return told
+                messages[k].append(("/tf", data))
+        return messages
 
     def frames(self, boot_us: int, direction: str, systems: Sequence[int], frames: Sequence[bytes]) -> None:
         """Frames that came in ("rx") or went out ("tx"), and for each the system it came from or went to."""
@@ -155,18 +157,18 @@ class Recorder:
         `off` says how far the states of the rows `known` were from the true ones, where a simulator told it.
         """
         pairs = zip(encode.controls(*d), encode.references(d.boot_us, d.sample), strict=True)
-        told: list[list[Message]] = [[("/control/state", c), ("/control/reference", r)] for c, r in pairs]
+        messages: list[list[Message]] = [[("/control/state", c), ("/control/reference", r)] for c, r in pairs]
         if off is not None:
             for k, data in zip(known, encode.estimates([d.boot_us[k] for k in known], off), strict=True):
-                told[k].append(("/control/estimate", data))
+                messages[k].append(("/control/estimate", data))
         if not self._with_truth:
             due = self._drawn(d.boot_us)
             if due:
                 told_N = np.array([d.tension[k] for k in due])
                 motion = encode.measured_motion(self._model, encode.rows(d.sample, due), told_N)
                 for k, data in self._transforms(d.boot_us, due, motion):
-                    told[k].append(("/tf", data))
-        return told
+                    messages[k].append(("/tf", data))
+        return messages
 
     def write(self, boot_us: int, messages: Sequence[Message]) -> None:
         """Messages as `truths`, `decided` and `line` make them: their place among all others is the caller's."""
@@ -193,7 +195,7 @@ class Recorder:
 
     def settle(self) -> None:
         """Put what waits into the open chunk."""
-        waiting, self._waiting = self._waiting, Waiting()
+        waiting, self._waiting = self._waiting, PendingMessages()
         self._attempt(lambda: self._settle(waiting))
 
     def flush(self) -> None:
@@ -225,7 +227,7 @@ class Recorder:
             except OSError as error:
                 self._give_up(error)
 
-    def _settle(self, waiting: Waiting) -> None:
+    def _settle(self, waiting: PendingMessages) -> None:
         for topic in dict.fromkeys(waiting.topics):
             if topic not in self._channels:
                 self._channels[topic] = self._registered(topic)

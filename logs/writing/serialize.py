@@ -127,7 +127,7 @@ def _arrays(rows: int, run: Sequence[tuple[_Field, Any]]) -> list[list[bytes]]:
     return [[flat[k * at : (k + 1) * at] for k in range(rows)]]
 
 
-class Waiting:
+class PendingMessages:
     """Messages that are to be written, in their order."""
 
     def __init__(self) -> None:
@@ -197,7 +197,7 @@ class Chunks(ChunkBuilder):
         self._added = []
         super().reset()  # type: ignore[no-untyped-call]
 
-    def add_all(self, waiting: Waiting, channels: Counts, publish_time: int, names: Names) -> None:
+    def add_all(self, waiting: PendingMessages, channels: Counts, publish_time: int, names: Names) -> None:
         """Put messages of `channels` (k,) behind those that are there."""
         data = np.frombuffer(b"".join(waiting.bodies), np.uint8)
         ends = np.cumsum(np.fromiter(map(len, waiting.bodies), np.int64, len(waiting.bodies)))
@@ -228,7 +228,7 @@ class LogWriter(Writer):
         self._most = chunk_size
         self._names = Names(names or {})
 
-    def add_messages(self, waiting: Waiting, channels: Mapping[str, int], publish_time: int) -> None:
+    def add_messages(self, waiting: PendingMessages, channels: Mapping[str, int], publish_time: int) -> None:
         """As the library's `add_message` of each, which makes an object of every one; a chunk ends where this does.
 
         `channels` are the registered ones by topic.

@@ -11,12 +11,12 @@ from rich.table import Table
 
 from cablequad.analysis.certificate import attitude_gains, certify, higher_order_slope
 from cablequad.analysis.margins import WEAK, closed_loop_poles, largest_loss, margins, modes
-from cablequad.analysis.rollout import Timing, rollout
+from cablequad.analysis.rollout import LoopTiming, rollout
 from cablequad.control.control_step import Sample
 from cablequad.control.design import Design, Weights, continuous_law
 from cablequad.control.trajectory import Reference, at
 from cablequad.model import lie
-from cablequad.model.controllability import reach
+from cablequad.model.controllability import controllable
 from cablequad.model.linear import equilibrium
 from cablequad.model.state import State
 from cablequad.model.stiffness import stiffest_mode
@@ -85,8 +85,8 @@ def check(flight: Flight, quick: bool, tell: Callable[[str], None] = lambda _: N
             {"pole": [m.pole.real, m.pole.imag], "pbh": m.pbh, "motion": m.motion, "weak": m.pbh < WEAK * strongest}
             for m in listed
         ],
-        "out_of_reach": list(reach(system).missing),
-        "hidden": list(scenarios.observer_of(flight).hidden),
+        "out_of_reach": list(controllable(system).missing),
+        "hidden": list(scenarios.estimator_of(flight).hidden),
         "sensing": c.sensing,
         "controllable": all(m.pbh >= WEAK * strongest for m in listed),
         "gains": {
@@ -123,7 +123,7 @@ def _paper_law(flight: Flight, weights: Weights) -> Design:
 def _nominal(design: Design, flight: Flight) -> list[Sample]:
     """The scenario's own flight without a wire, up to 10 s."""
     period = flight.control_us * 1e-6
-    timing = Timing(period, flight.control_us // flight.physics_us, flight.scenario.control.delay_ticks)
+    timing = LoopTiming(period, flight.control_us // flight.physics_us, flight.scenario.control.delay_ticks)
     ticks = round(min(10.0, flight.scenario.duration_s) / period)
     return list(rollout(design, flight.airframe, lambda t: at(flight.trajectory, t), flight.initial, timing, ticks))
 
@@ -276,7 +276,7 @@ def _reach(design: Design, flight: Flight, direction: int) -> dict[str, Any]:
 
 def _settles(design: Design, flight: Flight, start: State) -> bool:
     period = flight.control_us * 1e-6
-    timing = Timing(period, flight.control_us // flight.physics_us, flight.scenario.control.delay_ticks)
+    timing = LoopTiming(period, flight.control_us // flight.physics_us, flight.scenario.control.delay_ticks)
     target = Reference(np.array(flight.scenario.target.position_m), np.zeros(3))
     last: Sample | None = None
     for last in rollout(design, flight.airframe, lambda _: target, start, timing, round(SETTLE_S / period)):

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from cablequad.analysis.margins import largest_loss, margins, mismatched, unstable_from
-from cablequad.analysis.rollout import Mismatch, Timing, rollout
+from cablequad.analysis.rollout import LoopTiming, Mismatch, rollout
 from cablequad.control.design import Design
 from cablequad.control.trajectory import Reference
 from cablequad.model.attitude import Airframe
@@ -164,7 +164,7 @@ def _flown(design: Design, flight: Flight, which: int, value: float) -> Tried:
     target = np.array(flight.scenario.target.position_m)
     hung = State.hanging(design.system, target)
     start = hung._replace(R0=design.hanging.R0, x0=target + np.array(KICK_M)).copy()
-    timing = Timing(period, flight.control_us // flight.physics_us, delay + extra)
+    timing = LoopTiming(period, flight.control_us // flight.physics_us, delay + extra)
     errors, rates = [], []
     for sample in rollout(
         design, flight.airframe, lambda _: Reference(target, np.zeros(3)), start, timing, round(FLOWN_S / period), real

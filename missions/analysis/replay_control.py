@@ -11,12 +11,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bridge.fleet.fleet import COMPONENT, SYSTEM, TRACKER
-from bridge.loop.state_assembly import Instant, Observer
-from bridge.loop.time_sync import Related, Relation
+from bridge.loop.state_assembly import Instant, StateAssembler
+from bridge.loop.time_sync import ClockOffset, TimeSync
 from bridge.mission.phases import FLY
 from bridge.wire.messages import decode
 from bridge.wire.values import Command
-from cablequad.control.control_step import Measurement, first_memory, tick
+from cablequad.control.control_step import Measurement, control_step, first_memory
 from cablequad.control.design import Design
 from cablequad.control.trajectory import at
 from logs.reading.columns import columns
@@ -25,7 +25,7 @@ from logs.reading.reader import LogError, read
 from logs.reading.records import entries
 from logs.schema import cablequad_pb2 as pb
 from logs.writing import encode
-from missions.flight.setup import loop_of, ready
+from missions.flight.setup import loop_of, set_up
 from missions.scenario import loading as scenarios
 from missions.scenario.loading import Flight, ScenarioError
 
@@ -77,7 +77,7 @@ def redecide(path: Path) -> Redecided:
 
 def _follow(path: Path, flight: Flight, design: Design) -> list[bytes]:
     """The decisions of a plan; when it flies and when it was released is taken from the log."""
-    observer = Observer(loop_of(flight))
+    observer = StateAssembler(loop_of(flight))
     memory, after = first_memory(design), []
     for told in told_by(path, len(flight.system.m)):
         match told:
@@ -89,8 +89,8 @@ def _follow(path: Path, flight: Flight, design: Design) -> list[bytes]:
                     observer.released()
             case pb.ControlState():
                 boot_ms, instant = _instant(path, observer, told)
-                measured = Measurement(told.t, instant.state, held=told.phase != FLY)
-                memory, sample = tick(memory, measured, at(flight.trajectory, told.t), design)
+                measured = Measurement(told.t, instant.state, restrained=told.phase != FLY)
+                memory, sample = control_step(memory, measured, at(flight.trajectory, told.t), design)
                 observer.commanded(boot_ms, sample.R_c, sample.f)
                 tension, age_s = instant.tension.tolist(), instant.age_ms * 1e-3
                 after += encode.controls([boot_ms * 1000], encode.single(sample), [tension], [told.phase], [age_s])
@@ -99,7 +99,7 @@ def _follow(path: Path, flight: Flight, design: Design) -> list[bytes]:
 
 def _follow_mission(path: Path, flight: Flight, design: Design) -> list[bytes]:
     """The decisions of a mission, which also decides by what its fleet has said, and when."""
-    fleet, decider, _, mission = ready(flight, design, configure=True)
+    fleet, decider, _, mission = set_up(flight, design, configure=True)
     assert mission is not None
     after: list[bytes] = []
     heard: float | None = None  # s, of frames that came before the first decision
@@ -145,7 +145,7 @@ def told_by(path: Path, vehicles: int = SYSTEMS) -> Iterator[Frame | pb.Event | 
     """
     run = read(path)
     epoch_ns = run.epoch_ns
-    relation = Relation(SYSTEMS, TRACKER, any(event.kind == "clock" for event in run.events))
+    relation = TimeSync(SYSTEMS, TRACKER, any(event.kind == "clock" for event in run.events))
     for entry in entries(path):
         if entry.topic.startswith("/mavlink/") and entry.topic.endswith("/rx"):
             f = pb.MavlinkFrame.FromString(entry.data)
@@ -159,13 +159,13 @@ def told_by(path: Path, vehicles: int = SYSTEMS) -> Iterator[Frame | pb.Event | 
         elif entry.topic == "/event":
             event = pb.Event.FromString(entry.data)
             if event.kind == "clock":
-                relation.set(Related.read(event.subject, event.text))
+                relation.set(ClockOffset.read(event.subject, event.text))
             yield event
         elif entry.topic == "/control/state":
             yield pb.ControlState.FromString(entry.data)
 
 
-def _instant(path: Path, observer: Observer, was: pb.ControlState) -> tuple[int, Instant]:
+def _instant(path: Path, observer: StateAssembler, was: pb.ControlState) -> tuple[int, Instant]:
     """The time stamp (ms) that a decision was made for, and what was known of it."""
     boot_ms = was.sim_time_ns // 1_000_000
     instant = observer.estimate(boot_ms)

@@ -18,31 +18,31 @@ import numpy as np
 from bridge.fleet.fleet import TRACKER, Fleet
 from bridge.fleet.setpoint_batch import Setpoints
 from bridge.loop.deciders import PART
-from bridge.loop.fly import SILENT_S, STALL_S, Outcome, Patience, Timing, fly
-from bridge.loop.time_sync import Relation
+from bridge.loop.fly import SILENT_S, STALL_S, Outcome, Patience, TickStatistics, fly
+from bridge.loop.time_sync import TimeSync
 from bridge.mission.phases import CARRIED, FLY
 from bridge.wire.frames import Signer
 from bridge.wire.link import Address, Endpoint, Link, LinkError, Received
-from bridge.wire.link_faults import Channel, Tally, generator
+from bridge.wire.link_faults import Channel, FaultCounts, generator
 from bridge.wire.messages import encode as encode_message
 from bridge.wire.messages import reread
 from bridge.wire.ports import TRACKER_PORTS, vehicle_ports
 from bridge.wire.values import PayloadState, VehicleAttitude
-from cablequad.control.control_step import Measurement, Sample, first_memory, tick
+from cablequad.control.control_step import Measurement, Sample, control_step, first_memory
 from cablequad.control.design import Design
-from cablequad.control.estimator import Belief, corrected, first_belief, nothing_seen, predicted
+from cablequad.control.estimator import Belief, corrected, first_belief, nothing_measured, predicted
 from cablequad.control.single_vehicle import Goals, fly_each, integrated
 from cablequad.control.trajectory import at
 from cablequad.model import lie
 from cablequad.model.attitude import Setpoint, flown
-from cablequad.model.controllability import reach
+from cablequad.model.controllability import controllable
 from cablequad.model.state import measured, positions
 from logs.writing.recorder import RecorderError
 from missions.flight.launch import Autopilots, Launch, launches, start_lines
 from missions.flight.live_viewer import Show
 from missions.flight.recording.header import opening
-from missions.flight.recording.log_process import Scribe
-from missions.flight.setup import Ready, ready
+from missions.flight.recording.log_process import LogProcess
+from missions.flight.setup import FlightSetup, set_up
 from missions.flight.simulate import Backend, Serving, Simulator, few_collections, pin, settings
 from missions.flight.summary import Summary, Track, summarize
 from missions.scenario import loading as scenarios
@@ -59,7 +59,7 @@ BOOT_S = 120.0  # wall clock, for autopilots to come up
 SHOWN = frozenset(
     {"script", "phase", "pause", "resume", "abort", "guard", "lost", "crew", "stranger", "mishandled", "stall"}
 )  # kinds of events that the user is told of as they come
-NO_TIME = Timing(0, 0, [], 0.0, [], 0)
+NO_TIME = TickStatistics(0, 0, [], 0.0, [], 0)
 
 
 @dataclass(frozen=True)
@@ -92,24 +92,24 @@ class Progress:
         """How far the flight is."""
 
 
-class _Watch:
-    """Passes everything on to the scribe and keeps the figures of what was decided."""
+class _DecisionSink:
+    """Passes everything on to the log and keeps the figures of what was decided."""
 
-    def __init__(self, scribe: Scribe, track: Track, say: Callable[[str], None]) -> None:
-        self.scribe, self.say = scribe, say
+    def __init__(self, log: LogProcess, track: Track, say: Callable[[str], None]) -> None:
+        self.log, self.say = log, say
         self.track = track
         self.ended = False
-        self.tallies: list[Tally] = []  # of the faulty links to the controller
-        self.received, self.sent, self.perf = scribe.received, scribe.sent, scribe.perf
+        self.tallies: list[FaultCounts] = []  # of the faulty links to the controller
+        self.received, self.sent, self.perf = log.received, log.sent, log.perf
 
     def decided(self, boot_us: int, sample: Sample, tension: list[float], phase: str, age_s: float) -> None:
-        self.scribe.decided(boot_us, sample, tension, phase, age_s)
+        self.log.decided(boot_us, sample, tension, phase, age_s)
         if phase in CARRIED and not self.ended:
             self.track.decided(sample)
             self.track.tension(min(tension))
 
     def event(self, boot_us: int, kind: str, subject: str, text: str) -> None:
-        self.scribe.event(boot_us, kind, subject, text)
+        self.log.event(boot_us, kind, subject, text)
         if kind in SHOWN:
             self.say(f"t = {boot_us * 1e-6:7.2f} s  {kind}: {text}")
         self.ended = self.ended or kind == "end"
@@ -121,7 +121,7 @@ def run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary, 
         flight = without_hooks(flight)
     for note in flight.notes:
         progress.say(f"note: {note}")
-    for motion in reach(flight.system).missing:
+    for motion in controllable(flight.system).missing:
         progress.say(f"{motion} is out of reach of the vehicles' forces; it is left out, the rest is flown")
     try:
         return _run(flight, options, progress)
@@ -137,7 +137,7 @@ def _run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary,
     signer = Signer(key, options.accept_unsigned_telemetry) if key is not None else None
     link = Link(endpoints(n, options), signer)
     simulator: Simulator | None = None
-    scribe: Scribe | None = None
+    log: LogProcess | None = None
     processors = os.sched_getaffinity(0) if sys.platform == "linux" else set()
     before, thresholds = sys.getswitchinterval(), gc.get_threshold()
     show: Show | None = None
@@ -148,7 +148,7 @@ def _run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary,
         link.reliable = lockstep
         connect_s = max(flight.scenario.link.connect_timeout_s, BOOT_S if external else 0.0)
         who = "connected" if options.connect else options.backend
-        scribe = Scribe()
+        log = LogProcess()
         starts = _starts(flight, options) if external else []
         if not options.connect:
             serving = Serving(
@@ -156,16 +156,16 @@ def _run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary,
                 port_offset=options.port_offset, signing_key=key,
                 accept_unsigned_telemetry=options.accept_unsigned_telemetry,
             )  # fmt: skip
-            simulator = Simulator(settings(flight, serving), scribe.truth_end)
+            simulator = Simulator(settings(flight, serving), log.truth_end)
         progress.doing("getting ready (a first start compiles the model: minutes)")
         design = scenarios.design(flight)  # while the others are on their way
         beginning = opening(flight, design, options.out, lockstep, bool(options.connect), who)
-        scribe.open(beginning)
+        log.open(beginning)
         if options.live:
             show = Show(beginning.path)
         _warm_up(design, flight)  # before the vehicles' clock runs: it does not wait for a compiler
         predict_once(flight)
-        prepared = ready(flight, design, options.configure, lockstep)
+        prepared = set_up(flight, design, options.configure, lockstep)
         if external and options.launch is not None:
             autopilots = Autopilots(starts, beginning.path.with_suffix(""))
         elif external:
@@ -173,8 +173,8 @@ def _run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary,
             for line in start_lines(starts, beginning.path.with_suffix("")):
                 progress.say(f"  {line}")
         progress.doing("waiting for the log's process")
-        scribe.wait_ready()
-        watch = _Watch(scribe, _track(flight), progress.say)
+        log.wait_ready()
+        sink = _DecisionSink(log, _track(flight), progress.say)
         if simulator is not None and lockstep:
             pin(-2)
         sys.setswitchinterval(SWITCH_S)
@@ -189,7 +189,7 @@ def _run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary,
                 if simulator is not None:
                     simulator.go()
                 outcome, timing = _fly(
-                    flight, prepared, link, watch, simulator, interrupted, progress,
+                    flight, prepared, link, sink, simulator, interrupted, progress,
                     Patience(connect_s, lockstep, simulator is not None, options.stall_timeout_s),
                     external or bool(options.connect), lambda: None if autopilots is None else autopilots.ended(),
                     options.port_offset,
@@ -198,9 +198,9 @@ def _run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary,
             simulator.stop()
             while after := link.poll(0.0):  # what was still on its way is counted too
                 timing = timing._replace(unread=timing.unread + len(after))
-        judged = scribe.judged(outcome.completed or outcome.reason.startswith(PART))
+        judged = log.judged(outcome.completed or outcome.reason.startswith(PART))
         if judged.followed is not None:  # the simulator knows every link's tension; the tracker told the load's end
-            watch.track.min_tension_N = judged.smallest_tension_N
+            sink.track.min_tension_N = judged.smallest_tension_N
         missed = 0
         if simulator is not None and simulator.report is not None:
             missed = simulator.report.missed_deadlines + simulator.report.missed_answers
@@ -210,16 +210,16 @@ def _run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary,
         if mission is not None:
             grounded, mark = grounded or felt(mission), mission.mark
         summary = summarize(
-            flight.scenario.name, flight.scenario.acceptance, watch.track, outcome, timing,
+            flight.scenario.name, flight.scenario.acceptance, sink.track, outcome, timing,
             link.counters.sent, lost, missed, n, judged.followed, grounded, mark,
             flight.script is not None, mission is None and flight.trajectory.duration > flight.scenario.duration_s,
         )  # fmt: skip
-        wire = _wire(link, simulator, watch.tallies, timing.unread, timing.foreign)
+        wire = _wire(link, simulator, sink.tallies, timing.unread, timing.foreign)
         taken = wire["down_lost"] + wire.get("up_lost", 0)
         summary = summary._replace(wire=wire, messages_lost=summary.messages_lost + taken)
-        path = scribe.finish({k: json.dumps(v) for k, v in summary._asdict().items() if k not in ("log", "replay")})
-        if scribe.error is not None:
-            summary = summary._replace(passed=False, reason=scribe.error)
+        path = log.finish({k: json.dumps(v) for k, v in summary._asdict().items() if k not in ("log", "replay")})
+        if log.error is not None:
+            summary = summary._replace(passed=False, reason=log.error)
         return summary._replace(log=str(path)), outcome.interrupted
     finally:
         sys.setswitchinterval(before)
@@ -229,8 +229,8 @@ def _run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary,
         gc.unfreeze()
         if simulator is not None:
             simulator.stop()
-        if scribe is not None:
-            scribe.close()
+        if log is not None:
+            log.close()
         if show is not None:
             show.close()
         if autopilots is not None:
@@ -254,7 +254,9 @@ def _track(flight: Flight) -> Track:
     return Track(tuple(flight.scenario.target.position_m), flight.scenario.mission is None)
 
 
-def _wire(link: Link, simulator: Simulator | None, tallies: list[Tally], unread: int, foreign: int) -> dict[str, int]:
+def _wire(
+    link: Link, simulator: Simulator | None, tallies: list[FaultCounts], unread: int, foreign: int
+) -> dict[str, int]:
     """Frames on the wire, counted on both sides: down from the vehicles, up to them.
 
     sent = received; and with what [faults] doubled, that is what passed, was lost or still waits to be read.
@@ -281,9 +283,9 @@ def _wire(link: Link, simulator: Simulator | None, tallies: list[Tally], unread:
 
 def _fly(
     flight: Flight,
-    prepared: Ready,
+    prepared: FlightSetup,
     link: Link,
-    watch: _Watch,
+    sink: _DecisionSink,
     simulator: Simulator | None,
     interrupted: Callable[[], bool],
     progress: Progress,
@@ -291,7 +293,7 @@ def _fly(
     asks: bool,
     ended: Callable[[], str | None],
     port_offset: int,
-) -> tuple[Outcome, Timing]:
+) -> tuple[Outcome, TickStatistics]:
     """`asks`: vehicles may have clocks of their own. `ended` says which autopilot of ours has ended by itself."""
     s = flight.scenario
     fleet, mission = prepared.fleet, prepared.mission
@@ -308,8 +310,8 @@ def _fly(
         if interrupted():
             return "interrupted by the user"
         told.look(quiet_s)
-        if watch.scribe.error is not None:
-            return watch.scribe.error
+        if sink.log.error is not None:
+            return sink.log.error
         if simulator is not None and simulator.failure is not None:
             return simulator.failure
         if fleet.released_at is None and (gone := ended()) is not None:
@@ -327,14 +329,14 @@ def _fly(
                 mission.abort(late)
         return None
 
-    relation = Relation(fleet.n, TRACKER, asks)
+    relation = TimeSync(fleet.n, TRACKER, asks)
     outcome, timing = fly(
-        link, fleet, prepared.decider, prepared.loop, watch, patience, look, channels, relation,
+        link, fleet, prepared.decider, prepared.loop, sink, patience, look, channels, relation,
         {} if asks else _places(fleet.n, port_offset), lambda: simulator is None or simulator.failure is None,
     )  # fmt: skip
     if mission is not None:
         mission.close()
-    watch.tallies = [channel.tally for channel in channels.values()]
+    sink.tallies = [channel.tally for channel in channels.values()]
     untested = outcome.untested or (simulator is not None and simulator.untested)
     return outcome._replace(interrupted=outcome.interrupted or interrupted(), untested=untested), timing
 
@@ -385,7 +387,7 @@ def _places(n: int, port_offset: int) -> dict[int, tuple[int, Address]]:
 def _warm_up(design: Design, flight: Flight) -> None:
     """Compile what the loop calls before a clock runs: one decision and the messages it takes."""
     here = at(flight.trajectory, 0.0)
-    _, sample = tick(first_memory(design), Measurement(0.0, flight.initial), here, design)
+    _, sample = control_step(first_memory(design), Measurement(0.0, flight.initial), here, design)
     still = sample.state
     reread(encode_message(PayloadState(0, still.x0, still.v0, still.R0, still.Omega0)))
     _ = reread(encode_message(VehicleAttitude.of(0, still.R[0], still.Omega[0]))).R
@@ -406,7 +408,7 @@ def _warm_up(design: Design, flight: Flight) -> None:
         belief = Belief(flight.initial.copy(), np.zeros((len(flight.system.m), 3)))
         level = Setpoint.attitude(flight.initial.R, np.zeros(len(flight.system.m)))
         belief = predicted(filter, belief, level, flight.physics_us * 1e-6, 1)
-        nothing = nothing_seen(flight.system)
+        nothing = nothing_measured(flight.system)
         corrected(filter, belief, nothing)
         first_belief(filter, nothing._replace(x=positions(flight.system, still)[:, 0], R=still.R))
 

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 from bridge.fleet.fleet import Fleet
 from bridge.loop.deciders import Decider, MissionDecider, Plan, PlanDecider
-from bridge.loop.state_assembly import Loop
+from bridge.loop.state_assembly import LoopModel
 from bridge.mission.mission import Mission
 from cablequad.control.design import Design
 from cablequad.control.trajectory import at
@@ -13,16 +13,16 @@ from missions.scenario.loading import Flight
 from missions.scenario.mission_setup import mission_of, script_of
 
 
-class Ready(NamedTuple):
+class FlightSetup(NamedTuple):
     """Made before any clock runs."""
 
     fleet: Fleet
     decider: Decider
-    loop: Loop
+    loop: LoopModel
     mission: Mission | None
 
 
-def ready(flight: Flight, design: Design, configure: bool, waits: bool = True) -> Ready:
+def set_up(flight: Flight, design: Design, configure: bool, waits: bool = True) -> FlightSetup:
     """What flies the flight; `configure`: parameters that a vehicle needs to be flown are set.
 
     `waits`: the vehicles' clock waits for the controller, and so for a script.
@@ -33,16 +33,16 @@ def ready(flight: Flight, design: Design, configure: bool, waits: bool = True) -
     fleet = Fleet(flight.airframe.max_thrust.tolist(), period_s, configure, sensing, grounded, airborne)
     if not grounded:
         plan = Plan(lambda t: at(flight.trajectory, t), s.duration_s, flight.trajectory.duration)
-        return Ready(fleet, PlanDecider(plan, fleet, loop, design), loop, None)
+        return FlightSetup(fleet, PlanDecider(plan, fleet, loop, design), loop, None)
     mission = mission_of(flight, fleet, design, script_of(flight, waits))
-    return Ready(fleet, MissionDecider(mission, loop, design), loop, mission)
+    return FlightSetup(fleet, MissionDecider(mission, loop, design), loop, mission)
 
 
-def loop_of(flight: Flight) -> Loop:
+def loop_of(flight: Flight) -> LoopModel:
     """What the observer of a flight is told of its loop."""
     c = flight.scenario.control
     period_ms = flight.control_us // 1000
-    return Loop(
+    return LoopModel(
         flight.system, flight.airframe, period_ms, c.delay_ticks * period_ms, flight.physics_us * 1e-6,
         scenarios.filter(flight), c.sensing,
     )  # fmt: skip

@@ -18,13 +18,13 @@ from bridge.wire.link import LinkError
 from cablequad.model.earth import Home
 from cablequad.model.noise import Biases
 from missions.flight.child_process import begin
-from missions.flight.recording.ipc import Failure, Ready, Status, put
+from missions.flight.recording.ipc import PortsOpen, SimulatorFailure, Status, put
 from missions.scenario import loading as scenarios
 from missions.scenario.loading import Flight, ScenarioError
 from missions.scenario.tables import BarometerTable, FailureTable, GpsTable, ImuTable, MagnetometerTable, SensorsTable
 from sitl.batteries import Battery
 from sitl.external.joint import AutopilotError, External, JointServer, Steps, steps
-from sitl.failures import Failure as Breakage
+from sitl.failures import Failure
 from sitl.instruments import Grades
 from sitl.plant import PhysicsError, Truth
 from sitl.server import Server
@@ -143,9 +143,9 @@ def _grades(s: SensorsTable) -> Grades | None:
     )  # fmt: skip
 
 
-def _failure(f: FailureTable) -> Breakage:
+def _failure(f: FailureTable) -> Failure:
     lasts = round(f.lasts_s * 1e6)
-    return Breakage(
+    return Failure(
         round(f.at_s * 1e6), f.kind, f.vehicle - 1, f.rotor - 1, np.array(f.offset_m), np.array(f.wind_m_s), lasts,
         f.remaining, f.sag,
     )  # fmt: skip
@@ -198,13 +198,13 @@ def _child(values: Settings, status: Connection, truth: Connection) -> None:
     try:
         server = server_of(values, sink)
     except (LinkError, ValueError) as error:
-        status.send(Failure(str(error), isinstance(error, LinkError)))
+        status.send(SimulatorFailure(str(error), isinstance(error, LinkError)))
         return
     try:
         few_collections()
         if values.lockstep and values.await_controller:
             pin(-1)
-        status.send(Ready())
+        status.send(PortsOpen())
         while not status.poll(0.1):
             if stopped.is_set() or os.getppid() != parent:
                 return
@@ -212,9 +212,9 @@ def _child(values: Settings, status: Connection, truth: Connection) -> None:
         report = server.run(_ends(stopped, parent))
         status.send(report)
     except PhysicsError as error:
-        status.send(Failure(f"physics: {error} (t = {server.now_us * 1e-6:.2f} s of the vehicles' clock)"))
+        status.send(SimulatorFailure(f"physics: {error} (t = {server.now_us * 1e-6:.2f} s of the vehicles' clock)"))
     except AutopilotError as error:
-        status.send(Failure(str(error)))
+        status.send(SimulatorFailure(str(error)))
     except (BrokenPipeError, EOFError):
         return
     finally:
@@ -275,10 +275,10 @@ class Simulator:
             match message:
                 case Report():
                     self.report = message
-                case Failure():
+                case SimulatorFailure():
                     self.failure, self.untested = message.text, message.untested
                     self._ready.set()
-                case Ready():
+                case PortsOpen():
                     self._ready.set()
         if self.report is None and self.failure is None:
             self._process.join(2.0)

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bridge.loop.fly import Outcome, Timing
+from bridge.loop.fly import Outcome, TickStatistics
 from cablequad.control.control_step import Sample
 from missions.scenario.metrics import Followed, Following, Grounded
 from missions.scenario.tables import AcceptanceTable
@@ -124,7 +124,7 @@ def summarize(
     limits: AcceptanceTable,
     track: Track,
     outcome: Outcome,
-    timing: Timing,
+    timing: TickStatistics,
     sent: int,
     lost: int,
     missed_deadlines: int,

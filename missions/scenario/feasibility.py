@@ -11,7 +11,7 @@ from cablequad.control.formation import formation
 from cablequad.control.trajectory import Trajectory, at
 from cablequad.model import lie
 from cablequad.model.attitude import Airframe
-from cablequad.model.controllability import reach
+from cablequad.model.controllability import controllable
 from cablequad.model.linear import Equilibrium, EquilibriumError, equilibrium, equilibrium_forces
 from cablequad.model.state import State, positions
 from cablequad.model.stiffness import LEAST_STEP_US
@@ -75,7 +75,7 @@ def _at_rest(flight: Flight) -> Iterator[str]:
     if pushed:
         yield f"cable {', '.join(pushed)} would have to push the load at rest; move its attachment_m"
         return
-    missing = [motion for motion in reach(system).missing if motion.startswith("cable")]
+    missing = [motion for motion in controllable(system).missing if motion.startswith("cable")]
     if missing:
         lightest = float(np.where(system.length > 0, system.m_link, np.inf).min())
         heaviest = float(np.where(system.length > 0, system.m_link, 0.0).max())

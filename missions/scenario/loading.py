@@ -13,7 +13,7 @@ from pydantic import BaseModel, ValidationError
 
 from bridge.wire.link_faults import Faults
 from cablequad.control.design import Design, DesignError, Weights, continuous_law, sampled_law
-from cablequad.control.estimator import Filter, Observer, observer
+from cablequad.control.estimator import Estimator, Filter, estimator
 from cablequad.control.trajectory import Limits, Trajectory, along, at, circle, joined, leg, lemniscate, waypoints
 from cablequad.model import lie
 from cablequad.model.attitude import Airframe
@@ -35,7 +35,7 @@ class ScenarioError(Exception):
     """A scenario that cannot be flown; the message names the key, its value and what is allowed."""
 
 
-class World(NamedTuple):
+class ActualPlant(NamedTuple):
     """What flies, where it differs from what the controller is told."""
 
     system: System
@@ -52,7 +52,7 @@ class Flight(NamedTuple):
     source: str  # the file's text
     system: System  # as the controller is told
     airframe: Airframe
-    world: World
+    world: ActualPlant
     trajectory: Trajectory
     initial: State
     control_us: int
@@ -210,17 +210,17 @@ def weights(flight: Flight) -> Weights:
     return Weights(w.position, w.velocity, w.attitude, w.body_rate, w.link_direction, w.link_rate, w.force, w.lasting)
 
 
-def observer_of(flight: Flight) -> Observer:
+def estimator_of(flight: Flight) -> Estimator:
     """The observer of what the scenario's sensing leaves or blurs, told how noisy the sensors are."""
     period, sensing = flight.control_us * 1e-6, flight.scenario.control.sensing
-    return observer(flight.system, flight.airframe, period, sensing, noise(flight))
+    return estimator(flight.system, flight.airframe, period, sensing, noise(flight))
 
 
 def filter(flight: Flight) -> Filter | None:
     """The observer's filter; None where everything is measured without noise."""
     if flight.scenario.control.sensing == "full" and noise(flight) == Noise():
         return None
-    return observer_of(flight).filter
+    return estimator_of(flight).filter
 
 
 def noise(flight: Flight) -> Noise:
@@ -313,7 +313,7 @@ def flight_of(s: Scenario, source: str) -> Flight:
     heavier = 1.0 if s.real.payload_mass_kg is None else s.real.payload_mass_kg / s.payload.mass_kg
     bandwidth = s.real.attitude_bandwidth_rad_s
     scale = s.real.thrust_scale
-    world = World(
+    world = ActualPlant(
         system_of(s, heavier),
         airframe if bandwidth is None else airframe._replace(bandwidth=np.full(len(s.vehicles), bandwidth)),
         tuple(scale) if isinstance(scale, list) else (scale,) * len(s.vehicles),

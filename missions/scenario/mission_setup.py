@@ -10,7 +10,7 @@ from bridge.mission.mission import Mission, Script
 from bridge.mission.phases import ORDER, RULES, Phase
 from bridge.mission.plan import MissionPlan
 from cablequad.control.design import Design, DesignError, sampled_law
-from cablequad.control.estimator import Filter, observer
+from cablequad.control.estimator import Filter, estimator
 from cablequad.control.trajectory import Trajectory
 from cablequad.model.attitude import Airframe
 from cablequad.model.linear import EquilibriumError, equilibrium
@@ -87,7 +87,7 @@ def contingencies(flight: Flight, design: Design) -> tuple[dict[frozenset[int], 
         try:
             law = sampled_law(system, air, scenarios.weights(flight), period, s.control.delay_ticks)
             seen = (
-                observer(system, air, period, s.control.sensing, scenarios.noise(flight)) if blur is not None else None
+                estimator(system, air, period, s.control.sensing, scenarios.noise(flight)) if blur is not None else None
             )
         except (DesignError, EquilibriumError, np.linalg.LinAlgError):
             continue
@@ -161,5 +161,5 @@ def mission_of(flight: Flight, fleet: Fleet, design: Design, script: Script = us
     plan = plan_of(flight)
     designs, filters = contingencies(flight, design)
     if not plan.protect:  # nothing finds out what lasts, either
-        designs = {lost: d._replace(held=0.0 * d.held) for lost, d in designs.items()}
+        designs = {lost: d._replace(integrated=0.0 * d.integrated) for lost, d in designs.items()}
     return Mission(plan, fleet, designs, filters, flight.control_us * 1e-6, script)

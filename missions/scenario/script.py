@@ -19,7 +19,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from bridge.mission.mission import Mission, MissionError, Script, Until, Waiting
+from bridge.mission.mission import Mission, MissionError, Script, Until, Wait
 from bridge.mission.phases import Phase
 from missions.scenario.course import where
 from missions.scenario.script_runner import Ended, ScriptRunner, ScriptStopped
@@ -82,35 +82,35 @@ class FleetOf:
 
     # what is asked; each begins at once, and is awaited for its end
 
-    def preflight(self) -> Waiting:
+    def preflight(self) -> Wait:
         """Until every check holds."""
         return self._begin(Phase.PREFLIGHT)
 
-    def arm(self) -> Waiting:
+    def arm(self) -> Wait:
         """Until all are armed and obey."""
         return self._begin(Phase.ARM)
 
-    def take_off(self) -> Waiting:
+    def take_off(self) -> Wait:
         """Until all hover above their ends of the cables, slack."""
         return self._begin(Phase.TAKE_OFF)
 
-    def tension(self) -> Waiting:
+    def tension(self) -> Wait:
         """Until every cable is straight and bears its share."""
         return self._begin(Phase.TENSION)
 
-    def lift(self) -> Waiting:
+    def lift(self) -> Wait:
         """Until the load hangs still at the scenario's mission.lift_m."""
         return self._begin(Phase.LIFT)
 
-    def carry(self) -> Waiting:
+    def carry(self) -> Wait:
         """Along the scenario's [plan] to above its target."""
         return self._begin(Phase.CARRY)
 
-    def go(self, x: float, y: float, z: float, yaw_deg: float | None = None) -> Waiting:
+    def go(self, x: float, y: float, z: float, yaw_deg: float | None = None) -> Wait:
         """Straight to a place, within the limits of [plan]; without `yaw_deg` the load keeps its yaw."""
         return self._begin(Phase.CARRY, self._place(x, y, z, yaw_deg))
 
-    def set_down(self, x: float | None = None, y: float | None = None, yaw_deg: float | None = None) -> Waiting:
+    def set_down(self, x: float | None = None, y: float | None = None, yaw_deg: float | None = None) -> Wait:
         """Here, or at a place."""
         if x is None and y is None and yaw_deg is None:
             return self._begin(Phase.SET_DOWN)
@@ -118,23 +118,23 @@ class FleetOf:
         to = self._place(at[0] if x is None else x, at[1] if y is None else y, at[2], yaw_deg)
         return self._begin(Phase.SET_DOWN, to)
 
-    def release(self) -> Waiting:
+    def release(self) -> Wait:
         """Until all hover on slack cables."""
         return self._begin(Phase.RELEASE)
 
-    def land(self) -> Waiting:
+    def land(self) -> Wait:
         """Until all stand beside the load."""
         return self._begin(Phase.LAND)
 
-    def disarm(self) -> Waiting:
+    def disarm(self) -> Wait:
         """Until all are disarmed."""
         return self._begin(Phase.DISARM)
 
-    def wait(self, seconds: float) -> Waiting:
+    def wait(self, seconds: float) -> Wait:
         """For a while, on the vehicles' clock."""
         return self._for(lambda s: self._mission.wait(s), seconds)
 
-    def tilt(self, roll_deg: float, pitch_deg: float, seconds: float) -> Waiting:
+    def tilt(self, roll_deg: float, pitch_deg: float, seconds: float) -> Wait:
         """Every vehicle further over than it flies by itself, for a while; while all hover on slack cables."""
         turn = [math.radians(_tilt("roll_deg", roll_deg)), math.radians(_tilt("pitch_deg", pitch_deg)), 0.0]
         return self._for(lambda s: self._mission.tilt(turn, s), seconds)
@@ -157,10 +157,10 @@ class FleetOf:
         line = str(text)
         self._runner.call(lambda: self._mission.events.append(("script", "all", line)))
 
-    def _begin(self, phase: Phase, to: list[float] | None = None) -> Waiting:
+    def _begin(self, phase: Phase, to: list[float] | None = None) -> Wait:
         return self._runner.call(lambda: self._mission.begin(phase, to))
 
-    def _for(self, what: Callable[[float], Waiting], seconds: float) -> Waiting:
+    def _for(self, what: Callable[[float], Wait], seconds: float) -> Wait:
         duration = _finite("seconds", seconds)
         if duration < 0.0:
             raise ValueError(f"seconds: {seconds!r} given; 0 or more are needed")
@@ -198,7 +198,7 @@ def script_from(source: str, name: str, waits: bool = True) -> Script:
         if ended.error is not None:
             raise MissionError(_where(name, ended.error))
         if mission.phase is Phase.DISARM:  # asked for, perhaps not awaited
-            await Waiting(lambda: mission.phase_done)
+            await Wait(lambda: mission.phase_done)
         elif mission.phase is Phase.LAND and mission.phase_done:
             await mission.begin(Phase.DISARM)
         elif mission.phase not in (None, Phase.PREFLIGHT):

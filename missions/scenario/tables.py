@@ -268,7 +268,7 @@ class WeightsTable(_Table):
     link_direction: Positive = Weights().link_direction
     link_rate: Positive = Weights().link_rate
     force: Positive = Weights().force
-    lasting: Positive = Weights().lasting
+    lasting: Positive = Weights().integral
 
 
 class ControlTable(_Table):

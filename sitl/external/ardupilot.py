@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from bridge.wire.ports import Address, bind
 from cablequad.model import lie
-from sitl.external.seat import Own, SeatError, Tally
+from sitl.external.seat import Own, PacketCounts, SeatError
 
 ARDUPILOT_PORT = 9002  # and 10 more for each instance
 MAGIC_16, MAGIC_32 = 18458, 29569
@@ -80,7 +80,7 @@ class ArduPilotSeat:
     def __init__(self, vehicle: int, here: Address) -> None:
         """`vehicle` counts from 1. Raises LinkError where the port is taken."""
         self.who = f"vehicle {vehicle} (ArduPilot, udp {here[0]}:{here[1]})"
-        self.tally = Tally()
+        self.tally = PacketCounts()
         self.share = (0.0, 0.0, 0.0, 0.0)
         self._frame = -1
         self._address: Address | None = None

@@ -23,7 +23,7 @@ from sitl.batteries import Batteries
 from sitl.external.ardupilot import ARDUPILOT_PORT, ArduPilotSeat
 from sitl.external.px4 import PX4_PORT, SENSOR_US, Px4Seat
 from sitl.external.seat import Own, Seat, SeatError
-from sitl.failures import Broken
+from sitl.failures import ActiveFailures
 from sitl.firmware.telemetry import origin
 from sitl.instruments import Grades, Instruments
 from sitl.plant import Truth
@@ -105,7 +105,7 @@ class JointServer:
             raise
         self._gone: dict[int, str] = {}
         self._ends_us: int | None = None
-        self._broken = Broken(s.failures, n)
+        self._broken = ActiveFailures(s.failures, n)
         self._released_us: int | None = None
         self._bears: list[tuple[int, float]] = [(0, 0.0)] * n  # since when a vehicle gives as much, N
         self._v = self.plant.kinematics()[1]
@@ -228,7 +228,7 @@ class JointServer:
         self.plant.advance(self._substeps)
         self.now_us += self._frame_us
         self._steps += 1
-        if self.plant.held:
+        if self.plant.restrained:
             self._release()
         elif self._released_us is None:
             self._begin(share)
@@ -264,7 +264,7 @@ class JointServer:
         s, now = self.settings, self.now_us
         self._tracker.tell(self._sensors.tracked(truth))
         if now % LANDED_US == 0 or now == self._released_us:
-            landed = encode(LandedState(ON_GROUND if self.plant.held else IN_AIR))
+            landed = encode(LandedState(ON_GROUND if self.plant.restrained else IN_AIR))
             self.link.put(0, tracker.SYSTEM, tracker.COMPONENT, landed)
         if now % tracker.HEARTBEAT_US == 0:
             self.link.put(0, tracker.SYSTEM, tracker.COMPONENT, origin(s.home))
@@ -288,7 +288,7 @@ class JointServer:
             if up[i] < weight[i] or abs(up[i] - level) > STEADY * level:
                 self._bears[i] = (self.now_us, float(up[i]))
         if all(self.now_us - since >= CARRIED_S * 1e6 for since, _ in self._bears):
-            self.plant.held = False
+            self.plant.restrained = False
             self._released_us = self.now_us
             self._sink(Event(self.now_us, "release", "all", "every vehicle bears itself: let go"))
 

@@ -18,7 +18,7 @@ from bridge.wire.frames import Packed, checksum, frame, packed, unpack
 from bridge.wire.ports import Address, bind
 from cablequad.model import lie
 from cablequad.model.earth import Home, altitude_m, geodetic
-from sitl.external.seat import Own, SeatError, Tally
+from sitl.external.seat import Own, PacketCounts, SeatError
 from sitl.instruments import Fix, Instruments
 
 PX4_PORT = 4560  # and 1 more for each instance
@@ -84,7 +84,7 @@ class Px4Seat:
     def __init__(self, vehicle: int, here: Address, home: Home, instruments: Instruments) -> None:
         """`vehicle` counts from 1. Raises LinkError where the port is taken."""
         self.who = f"vehicle {vehicle} (PX4, tcp {here[0]}:{here[1]})"
-        self.tally = Tally()
+        self.tally = PacketCounts()
         self.share = (0.0, 0.0, 0.0, 0.0)
         self._home, self._instruments = home, instruments
         self._seq = 0

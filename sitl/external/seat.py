@@ -16,7 +16,7 @@ class Own(NamedTuple):
     specific_force: Array  # (3,) m/s^2, B: mean over the last step, the cable's pull included
 
 
-class Tally:
+class PacketCounts:
     """Packets of one autopilot."""
 
     def __init__(self) -> None:
@@ -35,7 +35,7 @@ class Seat(Protocol):
     """One autopilot's place."""
 
     who: str  # vehicle 2 (ArduPilot, udp 127.0.0.1:9012)
-    tally: Tally
+    tally: PacketCounts
     share: tuple[float, float, float, float]  # of its greatest thrust, that every rotor is asked for
 
     @property

@@ -25,7 +25,7 @@ from bridge.wire.values import (
 from cablequad.model import lie
 from cablequad.types import Array
 from sitl.firmware import arducopter_modes as modes
-from sitl.firmware.arducopter_modes import Mode, Situation
+from sitl.firmware.arducopter_modes import CopterConditions, CopterMode
 from sitl.firmware.autopilot import (
     COMMON_CAPABILITIES,
     MAX_RATE,
@@ -99,7 +99,7 @@ class ArduCopter(Autopilot):
         hover = min(1.0, body.mass_kg * body.g / body.max_thrust_N)
         parameters = arducopter_parameters(system_id, hover)
         super().__init__(system_id, tick_us, links, body, parameters, DEFAULT_HZ, ready_us)
-        self.mode = Mode.STABILIZE
+        self.mode = CopterMode.STABILIZE
         self._stopped = True  # GUIDED without an attitude target: holds where it is
         self._takeoff: Goal | None = None
         self._R_t = np.eye(3)  # the attitude target, which rates carry on
@@ -126,7 +126,7 @@ class ArduCopter(Autopilot):
             refused = "body rates all or none"
         elif mask & 128 and rates_ignored:
             refused = "neither attitude nor rates"
-        elif mask & 64 and self.mode is Mode.GUIDED:
+        elif mask & 64 and self.mode is CopterMode.GUIDED:
             refused = "throttle ignored"
         elif not mask & 128 and not abs(size - 1.0) < UNIT:
             refused = "quaternion is not of length 1"
@@ -146,7 +146,7 @@ class ArduCopter(Autopilot):
 
     def _position_setpoint(self, value: PositionTarget, now_us: int) -> None:
         """A place, velocities, or both; what is asked for on some axes of a triple alone counts as not asked for."""
-        if self.mode is not Mode.GUIDED:
+        if self.mode is not CopterMode.GUIDED:
             return
         if value.frame not in _TARGET_FRAMES:
             self._stop(f"Guided: coordinate frame {value.frame} unsupported, stopping")
@@ -168,12 +168,12 @@ class ArduCopter(Autopilot):
     def _go_to(self, c: Command, flags: int, now_us: int) -> int:
         """DO_REPOSITION: in GUIDED to a place; from another mode only where it says so."""
         change = flags > 0 and flags & M.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE
-        if self.mode is not Mode.GUIDED and not change:
+        if self.mode is not CopterMode.GUIDED and not change:
             return DENIED
         place = self._place(c)
         if place is None:
             return DENIED
-        if self.mode is not Mode.GUIDED and self._switch(Mode.GUIDED, now_us) != ACCEPTED:
+        if self.mode is not CopterMode.GUIDED and self._switch(CopterMode.GUIDED, now_us) != ACCEPTED:
             return FAILED
         here = (float(place[0]), float(place[1]), float(place[2]))
         frame, none = M.MAV_FRAME_LOCAL_NED, (0.0, 0.0, 0.0)
@@ -209,11 +209,11 @@ class ArduCopter(Autopilot):
             case M.MAV_CMD_NAV_TAKEOFF:
                 return [self._take_off(p[6], now_us)]
             case M.MAV_CMD_NAV_LAND:
-                return [self._switch(Mode.LAND, now_us)]
+                return [self._switch(CopterMode.LAND, now_us)]
             case M.MAV_CMD_NAV_RETURN_TO_LAUNCH:
-                return [self._switch(Mode.RTL, now_us)]
+                return [self._switch(CopterMode.RTL, now_us)]
             case M.MAV_CMD_NAV_LOITER_UNLIM:
-                return [self._switch(Mode.LOITER, now_us)]
+                return [self._switch(CopterMode.LOITER, now_us)]
             case M.MAV_CMD_DO_REPOSITION:
                 return [self._go_to(c, number[1], now_us)]
             case M.MAV_CMD_SET_MESSAGE_INTERVAL:
@@ -244,10 +244,10 @@ class ArduCopter(Autopilot):
         return None  # no ack for SET_MODE
 
     def _switch(self, number: int, now_us: int) -> int:
-        if number not in {int(m) for m in Mode}:
+        if number not in {int(m) for m in CopterMode}:
             self._text(CRITICAL, f"No such mode {number}")
             return FAILED
-        mode = Mode(number)
+        mode = CopterMode(number)
         row = decide(modes.ENTRY, self._situation(now_us)._replace(mode=mode))
         self._say(row)
         if row.result == ACCEPTED:
@@ -255,7 +255,7 @@ class ArduCopter(Autopilot):
             self.failsafe = False
         return row.result
 
-    def _change(self, mode: Mode) -> None:
+    def _change(self, mode: CopterMode) -> None:
         if mode is not self.mode:
             self.mode = mode
             self._stopped, self._target, self._takeoff = True, None, None
@@ -263,12 +263,12 @@ class ArduCopter(Autopilot):
 
     def leave(self, mode: str) -> None:
         """See Autopilot."""
-        self._change(Mode[mode])
+        self._change(CopterMode[mode])
         self.failsafe = True
         self._text(CRITICAL, f"Failsafe: {self.mode.name}")
 
-    def _situation(self, now_us: int, forced: bool = False) -> Situation:
-        return Situation(self.armed, self.landed == ON_GROUND, self.mode, now_us >= self._ready_us, forced)
+    def _situation(self, now_us: int, forced: bool = False) -> CopterConditions:
+        return CopterConditions(self.armed, self.landed == ON_GROUND, self.mode, now_us >= self._ready_us, forced)
 
     def _arm(self, arm: bool, forced: bool, now_us: int) -> int:
         row = decide(modes.ARM if arm else modes.DISARM, self._situation(now_us, forced))
@@ -311,13 +311,13 @@ class ArduCopter(Autopilot):
         heard_us = now_us if self._ground_heard_us is None else self._ground_heard_us
         lost = now_us - heard_us > self.parameters["FS_GCS_TIMEOUT"] * 1e6
         if action and lost and self.armed and not self.failsafe:
-            self._change(Mode.LAND if action == 5 else Mode.RTL)
+            self._change(CopterMode.LAND if action == 5 else CopterMode.RTL)
             self.failsafe = True
             self._text(CRITICAL, f"GCS failsafe: {self.mode.name}")
         idle_s = self.parameters["DISARM_DELAY"]
         if self.armed and self.landed == ON_GROUND and self._takeoff is None and not self._told_to_lift(now_us):
             since = max(self._armed_at_us, self._landed_at_us)
-            landing = self.mode in (Mode.LAND, Mode.RTL) and self._landed_at_us > self._armed_at_us
+            landing = self.mode in (CopterMode.LAND, CopterMode.RTL) and self._landed_at_us > self._armed_at_us
             if landing or 0 < idle_s <= (now_us - since) * 1e-6:
                 self._disarm_by_itself("Disarming motors")
 
@@ -359,14 +359,14 @@ class ArduCopter(Autopilot):
     def _on_board(self, s: Snapshot) -> Actuation:
         p = self.parameters
         match self.mode:
-            case Mode.STABILIZE | Mode.ACRO:
+            case CopterMode.STABILIZE | CopterMode.ACRO:
                 return Actuation(_level(s.R), NO_RATE, 0.0, False)  # by hand, and nobody has the stick
-            case Mode.LAND:
+            case CopterMode.LAND:
                 return self._go(s, self._down(p["LAND_SPEED"] / 100))
-            case Mode.RTL:
+            case CopterMode.RTL:
                 climb, down = p["WPNAV_SPEED"] / 100, p["LAND_SPEED"] / 100
                 return self._go(s, self._homewards(s, p["RTL_ALT"] / 100, climb, down))
-            case Mode.GUIDED if self._takeoff is not None:
+            case CopterMode.GUIDED if self._takeoff is not None:
                 act = self._go(s, self._takeoff)
                 if self.landed == IN_AIR and self.navigator.arrived(s):
                     self._takeoff = None

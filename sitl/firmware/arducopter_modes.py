@@ -6,7 +6,7 @@ from typing import NamedTuple
 from sitl.firmware.transitions import ACCEPTED, CRITICAL, FAILED, INFO, Row
 
 
-class Mode(IntEnum):
+class CopterMode(IntEnum):
     """The modes this vehicle knows, by ArduCopter's numbers."""
 
     STABILIZE = 0
@@ -22,25 +22,27 @@ class Mode(IntEnum):
     GUIDED_NOGPS = 20
 
 
-NEEDS_POSITION = frozenset({Mode.AUTO, Mode.GUIDED, Mode.LOITER, Mode.RTL, Mode.POSHOLD, Mode.BRAKE})
-NOT_ARMABLE = frozenset({Mode.RTL, Mode.LAND, Mode.BRAKE, Mode.AUTO})
-TAKES_SETPOINTS = frozenset({Mode.GUIDED, Mode.GUIDED_NOGPS})
+NEEDS_POSITION = frozenset(
+    {CopterMode.AUTO, CopterMode.GUIDED, CopterMode.LOITER, CopterMode.RTL, CopterMode.POSHOLD, CopterMode.BRAKE}
+)
+NOT_ARMABLE = frozenset({CopterMode.RTL, CopterMode.LAND, CopterMode.BRAKE, CopterMode.AUTO})
+TAKES_SETPOINTS = frozenset({CopterMode.GUIDED, CopterMode.GUIDED_NOGPS})
 
 
-class Situation(NamedTuple):
+class CopterConditions(NamedTuple):
     """What the tables look at."""
 
     armed: bool
     landed: bool
-    mode: Mode  # it is in, or for an entry the one asked for
+    mode: CopterMode  # it is in, or for an entry the one asked for
     position: bool  # the estimator uses GPS
     forced: bool = False  # param2 = 2989 or 21196: optional checks are skipped, mandatory ones are not
 
 
-Table = tuple[Row[Situation], ...]
+Table = tuple[Row[CopterConditions], ...]
 
 ENTRY: Table = (
-    Row(lambda s: s.mode is Mode.AUTO and s.armed, FAILED, CRITICAL, "Mode change to AUTO failed: no mission"),
+    Row(lambda s: s.mode is CopterMode.AUTO and s.armed, FAILED, CRITICAL, "Mode change to AUTO failed: no mission"),
     Row(
         lambda s: s.armed and s.mode in NEEDS_POSITION and not s.position,
         FAILED,
@@ -61,6 +63,6 @@ DISARM: Table = (
     Row(lambda s: True, FAILED),
 )
 TAKEOFF: Table = (
-    Row(lambda s: s.armed and s.mode is Mode.GUIDED and s.landed, ACCEPTED),
+    Row(lambda s: s.armed and s.mode is CopterMode.GUIDED and s.landed, ACCEPTED),
     Row(lambda s: True, FAILED),
 )

@@ -4,12 +4,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bridge.wire.batches import Sheet, put_attitudes
+from bridge.wire.batches import Batch, put_attitudes
 from bridge.wire.messages import attitude
 from cablequad.types import Array
 
 
-class Attitudes(Sheet):
+class Attitudes(Batch):
     """Up to k messages ATTITUDE_QUATERNION of one instant."""
 
     def __init__(self, k: int) -> None:

@@ -26,7 +26,7 @@ from sitl.firmware.autopilot import (
 )
 from sitl.firmware.navigate import A_IGNORED, FORCE_SET, X_IGNORED, Goal, goal_of
 from sitl.firmware.parameters import px4_parameters
-from sitl.firmware.px4_modes import Mode, Situation
+from sitl.firmware.px4_modes import Px4Conditions, Px4Mode
 from sitl.firmware.telemetry import BUILD, Snapshot
 from sitl.firmware.transitions import (
     ACCEPTED,
@@ -65,13 +65,13 @@ DEFAULT_HZ: dict[LinkKind, dict[int, float]] = {
     },
 }  # fmt: skip
 _MODE_COMMANDS = {
-    M.MAV_CMD_NAV_TAKEOFF: Mode.TAKEOFF,
-    M.MAV_CMD_NAV_LAND: Mode.LAND,
-    M.MAV_CMD_NAV_RETURN_TO_LAUNCH: Mode.RTL,
-    M.MAV_CMD_NAV_LOITER_UNLIM: Mode.LOITER,
+    M.MAV_CMD_NAV_TAKEOFF: Px4Mode.TAKEOFF,
+    M.MAV_CMD_NAV_LAND: Px4Mode.LAND,
+    M.MAV_CMD_NAV_RETURN_TO_LAUNCH: Px4Mode.RTL,
+    M.MAV_CMD_NAV_LOITER_UNLIM: Px4Mode.LOITER,
 }
 _LOSS_ACTIONS = {
-    0: Mode.POSCTL, 1: Mode.ALTCTL, 2: Mode.STABILIZED, 3: Mode.RTL, 4: Mode.LAND, 5: Mode.LOITER,
+    0: Px4Mode.POSCTL, 1: Px4Mode.ALTCTL, 2: Px4Mode.STABILIZED, 3: Px4Mode.RTL, 4: Px4Mode.LAND, 5: Px4Mode.LOITER,
 }  # fmt: skip
 _TERMINATE, _DISARM = 6, 7
 
@@ -89,9 +89,9 @@ class Px4(Autopilot):
         hover = math.sqrt(min(1.0, body.mass_kg * body.g / body.max_thrust_N))
         parameters = px4_parameters(system_id, hover)
         super().__init__(system_id, tick_us, links, body, parameters, DEFAULT_HZ, ready_us)
-        self.mode = Mode.LOITER
+        self.mode = Px4Mode.LOITER
         self.terminated = False
-        self.returned: Mode | None = None  # the mode a setpoint-loss failsafe interrupted
+        self.returned: Px4Mode | None = None  # the mode a setpoint-loss failsafe interrupted
         self._takeoff_z: float | None = None
         self._reposition: Goal | None = None  # where DO_REPOSITION sent it
 
@@ -153,7 +153,7 @@ class Px4(Autopilot):
         place = self._place(c)
         if place is None:
             return DENIED
-        result = self._switch(Mode.LOITER, now_us)
+        result = self._switch(Px4Mode.LOITER, now_us)
         if result == ACCEPTED:
             speed, yaw = c.params[0], c.params[3]
             cruise = self.parameters["MPC_XY_CRUISE"]
@@ -177,22 +177,22 @@ class Px4(Autopilot):
     def leave(self, mode: str) -> None:
         """See Autopilot."""
         self.failsafe = True
-        self._change(Mode[mode])
+        self._change(Px4Mode[mode])
         self._text(CRITICAL, f"Failsafe activated: switching to {self.mode.name}")
 
     def _set_mode(self, value: SetMode, now_us: int) -> int | None:
         return self._enter(value.custom_mode >> 16 & 255, value.custom_mode >> 24 & 255, now_us)
 
-    def _situation(self, now_us: int, forced: bool = False) -> Situation:
+    def _situation(self, now_us: int, forced: bool = False) -> Px4Conditions:
         ready = now_us >= self._ready_us
         fresh = self.fresh_setpoint(now_us)
-        return Situation(self.armed, self.landed == ON_GROUND, self.mode, fresh, ready, forced)
+        return Px4Conditions(self.armed, self.landed == ON_GROUND, self.mode, fresh, ready, forced)
 
     def _enter(self, main: int, sub: int, now_us: int) -> int:
         mode = modes.BY_NUMBER.get((main, sub))
         return TEMPORARILY_REJECTED if mode is None else self._switch(mode, now_us)
 
-    def _switch(self, mode: Mode, now_us: int) -> int:
+    def _switch(self, mode: Px4Mode, now_us: int) -> int:
         row = decide(modes.entry(mode), self._situation(now_us))
         self._say(row)
         if row.result == ACCEPTED:
@@ -201,7 +201,7 @@ class Px4(Autopilot):
             self.failsafe = False
         return row.result
 
-    def _change(self, mode: Mode) -> None:
+    def _change(self, mode: Px4Mode) -> None:
         if mode is not self.mode:
             self.mode = mode
             self.navigator.end()
@@ -223,16 +223,16 @@ class Px4(Autopilot):
     def carries(self, now_us: int) -> bool:
         if not self.armed or now_us - self._armed_at_us < self.parameters["COM_SPOOLUP_TIME"] * 1e6:
             return False
-        return self.fresh_setpoint(now_us) if self.mode is Mode.OFFBOARD else self.mode is Mode.TAKEOFF
+        return self.fresh_setpoint(now_us) if self.mode is Px4Mode.OFFBOARD else self.mode is Px4Mode.TAKEOFF
 
     def tick(self, now_us: int) -> None:
         self._now_us = now_us
         fresh = self.fresh_setpoint(now_us)
-        if self.mode is Mode.OFFBOARD and self.armed and not fresh:
+        if self.mode is Px4Mode.OFFBOARD and self.armed and not fresh:
             self._lose_offboard()
-        elif self.returned is Mode.OFFBOARD and fresh:
+        elif self.returned is Px4Mode.OFFBOARD and fresh:
             self.returned, self.failsafe = None, False
-            self._change(Mode.OFFBOARD)
+            self._change(Px4Mode.OFFBOARD)
             self._text(INFO, "Offboard setpoints are back")
         elif not self.armed:
             self.returned = None
@@ -249,8 +249,8 @@ class Px4(Autopilot):
             self._text(CRITICAL, "Failsafe: no offboard setpoint, disarming")
             self._set_armed(False, self._now_us)
         else:
-            self.returned = Mode.OFFBOARD
-            self._change(_LOSS_ACTIONS.get(action, Mode.POSCTL))
+            self.returned = Px4Mode.OFFBOARD
+            self._change(_LOSS_ACTIONS.get(action, Px4Mode.POSCTL))
             self._text(CRITICAL, f"Failsafe: no offboard setpoint, switching to {self.mode.name}")
 
     def _watch_ground_station(self, now_us: int) -> None:
@@ -259,7 +259,7 @@ class Px4(Autopilot):
             return
         if now_us - self._ground_heard_us > self.parameters["COM_DL_LOSS_T"] * 1e6:
             self.failsafe = True
-            self._change({1: Mode.LOITER, 2: Mode.RTL, 3: Mode.LAND}.get(action, Mode.RTL))
+            self._change({1: Px4Mode.LOITER, 2: Px4Mode.RTL, 3: Px4Mode.LAND}.get(action, Px4Mode.RTL))
             self._text(CRITICAL, f"Failsafe: no ground station, switching to {self.mode.name}")
 
     def _disarm_when_idle(self, now_us: int) -> None:
@@ -269,7 +269,7 @@ class Px4(Autopilot):
         flew = self._landed_at_us > self._armed_at_us
         if flew and 0 < after_landing <= (now_us - self._landed_at_us) * 1e-6:
             self._disarm_by_itself("Disarmed by landing")
-        elif not flew and 0 < idle <= (now_us - self._armed_at_us) * 1e-6 and self.mode is not Mode.TAKEOFF:
+        elif not flew and 0 < idle <= (now_us - self._armed_at_us) * 1e-6 and self.mode is not Px4Mode.TAKEOFF:
             self._disarm_by_itself("Disarmed by auto preflight disarming")
 
     def _land_detected(self) -> None:
@@ -277,7 +277,7 @@ class Px4(Autopilot):
 
     def _heartbeat(self, now_us: int) -> Heartbeat:
         base = 1 | self.mode.value[2] | (128 if self.armed else 0)
-        if self.mode is Mode.OFFBOARD and not self.armed and not self.fresh_setpoint(now_us):
+        if self.mode is Px4Mode.OFFBOARD and not self.armed and not self.fresh_setpoint(now_us):
             base = 1
         if self.terminated:
             status = M.MAV_STATE_FLIGHT_TERMINATION
@@ -294,9 +294,9 @@ class Px4(Autopilot):
         spooling = s.boot_us - self._armed_at_us < self.parameters["COM_SPOOLUP_TIME"] * 1e6
         if not self.armed or self.terminated or (spooling and self.landed == ON_GROUND):
             act = Actuation(s.R, NO_RATE, 0.0, True)
-        elif self.mode is Mode.OFFBOARD and isinstance(self._target, Goal):
+        elif self.mode is Px4Mode.OFFBOARD and isinstance(self._target, Goal):
             act = self._go(s, self._target)
-        elif self.mode is Mode.OFFBOARD and isinstance(self._target, AttitudeTarget):
+        elif self.mode is Px4Mode.OFFBOARD and isinstance(self._target, AttitudeTarget):
             self.navigator.end()
             asked = 0.0 if self._target.type_mask & 64 else self._target.thrust
             return self._act(self._offboard(s, self._target), abs(asked))  # the size of thrust_body
@@ -306,24 +306,24 @@ class Px4(Autopilot):
 
     def _on_board(self, s: Snapshot) -> Actuation:
         p = self.parameters
-        if self.landed == ON_GROUND and self.mode is not Mode.TAKEOFF:
+        if self.landed == ON_GROUND and self.mode is not Px4Mode.TAKEOFF:
             return Actuation(s.R, NO_RATE, 0.0, True)  # nothing asks it to leave the ground
         match self.mode:
-            case Mode.TAKEOFF:
+            case Px4Mode.TAKEOFF:
                 if self._takeoff_z is None:
                     self._takeoff_z = float(s.x[2]) - p["MIS_TAKEOFF_ALT"]
                 goal = Goal(np.array([*self._start(s), self._takeoff_z]), p["MPC_TKO_SPEED"])
                 if abs(float(s.x[2]) - self._takeoff_z) < 0.2:
-                    self.mode = Mode.LOITER  # the position loop goes on where it is
+                    self.mode = Px4Mode.LOITER  # the position loop goes on where it is
                 return self._go(s, goal)
-            case Mode.LOITER if self._reposition is not None:
+            case Px4Mode.LOITER if self._reposition is not None:
                 return self._go(s, self._reposition)
-            case Mode.LAND:
+            case Px4Mode.LAND:
                 return self._go(s, self._down(p["MPC_LAND_SPEED"]))
-            case Mode.RTL:
+            case Px4Mode.RTL:
                 return self._go(s, self._homewards(s, p["RTL_RETURN_ALT"], p["MPC_XY_CRUISE"], p["MPC_LAND_SPEED"]))
             case _:
-                return self._go(s, self._down(SINK_M_S) if self.failsafe and self.mode is not Mode.LOITER else None)
+                return self._go(s, self._down(SINK_M_S) if self.failsafe and self.mode is not Px4Mode.LOITER else None)
 
     def _start(self, s: Snapshot) -> tuple[float, float]:
         x = self.navigator.goal.x if self.navigator.active else s.x

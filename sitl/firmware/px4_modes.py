@@ -6,7 +6,7 @@ from typing import NamedTuple
 from sitl.firmware.transitions import ACCEPTED, CRITICAL, INFO, TEMPORARILY_REJECTED, Row
 
 
-class Mode(Enum):
+class Px4Mode(Enum):
     """The modes this vehicle knows, with PX4's (main, sub) numbers and the base_mode bits they show."""
 
     MANUAL = (1, 0, 64)
@@ -27,23 +27,25 @@ class Mode(Enum):
         return self.value[0] << 16 | self.value[1] << 24
 
 
-BY_NUMBER = {(mode.value[0], mode.value[1]): mode for mode in Mode}
+BY_NUMBER = {(mode.value[0], mode.value[1]): mode for mode in Px4Mode}
 KNOWN_MAIN = range(1, 8)
-STICKS = frozenset({Mode.MANUAL, Mode.ALTCTL, Mode.ACRO, Mode.STABILIZED})  # flown by hand, and nobody has a radio here
+STICKS = frozenset(
+    {Px4Mode.MANUAL, Px4Mode.ALTCTL, Px4Mode.ACRO, Px4Mode.STABILIZED}
+)  # flown by hand, and nobody has a radio here
 
 
-class Situation(NamedTuple):
+class Px4Conditions(NamedTuple):
     """What the tables look at."""
 
     armed: bool
     landed: bool
-    mode: Mode
+    mode: Px4Mode
     fresh_setpoint: bool  # an offboard setpoint younger than COM_OF_LOSS_T
     estimator_ready: bool = True
     forced: bool = False  # param2 = 21196; skips nothing when it comes from outside
 
 
-Table = tuple[Row[Situation], ...]
+Table = tuple[Row[Px4Conditions], ...]
 
 OFFBOARD_ENTRY: Table = (
     Row(
@@ -67,8 +69,8 @@ _DENIED = "Arming denied: Resolve system health failures first"
 ARM: Table = (
     Row(lambda s: s.armed, ACCEPTED),
     Row(lambda s: not s.estimator_ready, TEMPORARILY_REJECTED, CRITICAL, _DENIED),
-    Row(lambda s: s.mode is Mode.OFFBOARD and not s.fresh_setpoint, TEMPORARILY_REJECTED, CRITICAL, _DENIED),
-    Row(lambda s: s.mode in STICKS | {Mode.MISSION}, TEMPORARILY_REJECTED, CRITICAL, _DENIED),
+    Row(lambda s: s.mode is Px4Mode.OFFBOARD and not s.fresh_setpoint, TEMPORARILY_REJECTED, CRITICAL, _DENIED),
+    Row(lambda s: s.mode in STICKS | {Px4Mode.MISSION}, TEMPORARILY_REJECTED, CRITICAL, _DENIED),
     Row(lambda s: True, ACCEPTED, INFO, "Armed by external command"),
 )
 DISARM: Table = (
@@ -78,10 +80,10 @@ DISARM: Table = (
 )
 
 
-def entry(mode: Mode) -> Table:
+def entry(mode: Px4Mode) -> Table:
     """The table that decides whether `mode` may be entered."""
-    if mode is Mode.OFFBOARD:
+    if mode is Px4Mode.OFFBOARD:
         return OFFBOARD_ENTRY
-    if mode is Mode.MISSION:
+    if mode is Px4Mode.MISSION:
         return MISSION_ENTRY
     return STICKS_ENTRY if mode in STICKS else OTHER_ENTRY

@@ -14,12 +14,12 @@ from cablequad.control.yaw_frame import about_down
 from cablequad.model import lie
 from logs.writing.encode import SCHEMA_VERSION, Model
 from logs.writing.recorder import Attachment, RecorderError
-from missions.flight.recording.log_process import Opening
+from missions.flight.recording.log_process import LogHeader
 from missions.scenario.loading import Flight
 from missions.scenario.mission_setup import standing
 
 
-def opening(flight: Flight, design: Design, out: Path, lockstep: bool, connected: bool, vehicles: str) -> Opening:
+def opening(flight: Flight, design: Design, out: Path, lockstep: bool, connected: bool, vehicles: str) -> LogHeader:
     """What a recording of the flight begins with, in a new file in `out`. Raises RecorderError."""
     s = flight.scenario
     try:
@@ -48,7 +48,7 @@ def opening(flight: Flight, design: Design, out: Path, lockstep: bool, connected
         "vehicles": vehicles,
     }
     gains = {"K_x": design.K_x.tolist(), "K_xdot": design.K_xdot.tolist(), "u_star": design.u_star.tolist()}
-    return Opening(
+    return LogHeader(
         path,
         model,
         {

@@ -23,11 +23,11 @@ class Sender(Protocol):
         """Put one record into the channel."""
 
 
-class Ready:
+class PortsOpen:
     """The vehicles are on their ports."""
 
 
-class Failure:
+class SimulatorFailure:
     """The simulator cannot go on."""
 
     def __init__(self, text: str, untested: bool = False) -> None:
@@ -36,15 +36,15 @@ class Failure:
 
 
 Message = Truth | Event
-Status = Report | Ready | Failure
+Status = Report | PortsOpen | SimulatorFailure
 _NUMBERS = struct.Struct("=4d")
 
 
-class Told(NamedTuple):
+class PlantState(NamedTuple):
     """The simulator's state at one instant, as it comes by its pipe."""
 
     boot_us: int
-    held: bool
+    restrained: bool
     values: bytes
 
 
@@ -53,20 +53,20 @@ def put(channel: Sender, messages: Sequence[Message]) -> None:
     parts: list[Event | tuple[int, bool, bytes]] = []
     for m in messages:
         if isinstance(m, Truth):
-            parts.append((m.boot_us, m.held, m.row.tobytes()))
+            parts.append((m.boot_us, m.restrained, m.row.tobytes()))
         else:
             parts.append(m)
     channel.send_bytes(pickle.dumps(parts, 5))
 
 
-def take(data: bytes) -> list[Told | Event]:
+def take(data: bytes) -> list[PlantState | Event]:
     """What was said, in its order."""
-    return [part if isinstance(part, Event) else Told(*part) for part in pickle.loads(data)]
+    return [part if isinstance(part, Event) else PlantState(*part) for part in pickle.loads(data)]
 
 
-def take_motions(told: Sequence[Told], n: int, L: int) -> Motion:
-    """The motions of n vehicles and L links, with a row for each of `told`."""
-    return motion_of(_table([t.values for t in told]), motion_shapes(n, L))
+def take_motions(states: Sequence[PlantState], n: int, L: int) -> Motion:
+    """The motions of n vehicles and L links, with a row for each of `states`."""
+    return motion_of(_table([t.values for t in states]), motion_shapes(n, L))
 
 
 def put_sample(sample: Sample) -> bytes:
@@ -85,8 +85,8 @@ def take_samples(rows: Sequence[bytes], shapes: Shapes) -> Sample:
     t, Psi_0, e_q, e_omega = numbers.T
     state, reference, memory, error = State(*a[:8]), Reference(*a[8:14]), Memory(*a[14:19]), Error(*a[19:21])
     A, R_c, f, Psi, R_0d, q_d = a[21:]
-    told: Any = (t, state, reference, memory, error, A, R_c, f, Psi_0, Psi, e_q, e_omega, R_0d, q_d)
-    return Sample(*told)
+    states: Any = (t, state, reference, memory, error, A, R_c, f, Psi_0, Psi, e_q, e_omega, R_0d, q_d)
+    return Sample(*states)
 
 
 def _arrays(s: Sample) -> tuple[Array, ...]:

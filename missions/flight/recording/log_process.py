@@ -1,7 +1,7 @@
 """The recording as a process of its own: decisions and frames from the bridge, truth from the simulator.
 
-The control loop only writes what it did into a pipe. Truth comes by a pipe that joins the simulator and the scribe and
-that the bridge's process never reads. What is written, and in which order, is the ledger's.
+The control loop only writes what it did into a pipe. Truth comes by a pipe that joins the simulator and the log and
+that the bridge's process never reads. What is written, and in which order, is the merge's.
 """
 
 import contextlib
@@ -31,11 +31,11 @@ from logs.writing.recorder import FLUSH_S, Attachment, Recorder, RecorderError
 from missions.flight.child_process import begin
 from missions.flight.recording.idle_scheduler import in_gaps
 from missions.flight.recording.ipc import put_sample, sample_shapes
-from missions.flight.recording.merge import Judged, Ledger
+from missions.flight.recording.merge import Judged, Merge
 from missions.scenario.metrics import Standing
 
-PIPE_BYTES = 1 << 20  # what may wait for the scribe before the control loop does
-TOGETHER = 16  # decisions in one write, as a wake-up of the scribe costs more than what it is told
+PIPE_BYTES = 1 << 20  # what may wait for the log before the control loop does
+TOGETHER = 16  # decisions in one write, as a wake-up of the log costs more than what it is told
 WAIT_S = 0.06  # wall clock, that a decision waits for others at most
 AT_ONCE = 256  # entries that are written together, which costs less for each
 BATCH = 128  # entries that wait at most, where no tick is answered
@@ -44,7 +44,7 @@ LOOK_S = 0.5  # wall clock, between looks at whether the process that an answer 
 STALL_S = 600.0  # that it may stand still
 
 
-class Opening(NamedTuple):
+class LogHeader(NamedTuple):
     """Everything a recording begins with."""
 
     path: Path
@@ -65,7 +65,7 @@ class Closing(NamedTuple):
     error: str | None
 
 
-class Scribe:
+class LogProcess:
     """The bridge's end of the recording. Its process is on its way before it is known what to record."""
 
     def __init__(self) -> None:
@@ -82,12 +82,12 @@ class Scribe:
         self._shapes_told = False
         self._decisions, self._flushed = 0, time.monotonic()  # since then
         self._path = Path()
-        self._process = context.Process(target=_child, args=(down, up, truth), name="cablequad-scribe", daemon=True)
+        self._process = context.Process(target=_child, args=(down, up, truth), name="cablequad-log", daemon=True)
         begin(self._process)
         for end in (down, up, truth):
             end.close()
 
-    def open(self, opening: Opening) -> None:
+    def open(self, opening: LogHeader) -> None:
         """Say what is recorded, and where."""
         self._path = opening.path
         with contextlib.suppress(OSError):  # it ended by itself: `wait_ready` says so
@@ -211,7 +211,7 @@ def _child(down: Connection, up: Connection, truth: Connection) -> None:
         os.nice(10)  # the flight goes first
     names = {number: kind.msgname for number, kind in mavlink.mavlink_map.items()}
     try:
-        opening: Opening = pickle.loads(down.recv_bytes())
+        opening: LogHeader = pickle.loads(down.recv_bytes())
     except (EOFError, OSError):
         return
     try:
@@ -224,8 +224,8 @@ def _child(down: Connection, up: Connection, truth: Connection) -> None:
         return
     _encode_once(opening.model)
     up.send("ready")
-    ledger = Ledger(recorder, opening.model, truth, opening.target_m, opening.standing)
-    writing = _Writing(recorder, ledger, down, up)
+    merge = Merge(recorder, opening.model, truth, opening.target_m, opening.standing)
+    writing = _Writing(recorder, merge, down, up)
     if opening.in_gaps:
         in_gaps(writing)
     else:
@@ -235,9 +235,9 @@ def _child(down: Connection, up: Connection, truth: Connection) -> None:
 class _Writing:
     """Takes what comes and writes it, until it has ended."""
 
-    def __init__(self, recorder: Recorder, ledger: Ledger, down: Connection, up: Connection) -> None:
+    def __init__(self, recorder: Recorder, merge: Merge, down: Connection, up: Connection) -> None:
         self.leave = self.done = False
-        self._recorder, self._ledger, self._down, self._up = recorder, ledger, down, up
+        self._recorder, self._merge, self._down, self._up = recorder, merge, down, up
         self._batch: list[tuple] = []
         self._flushed = time.monotonic()
         self._begun: float | None = None  # the step that is being made
@@ -257,14 +257,14 @@ class _Writing:
 
     def _step(self) -> None:
         try:
-            ready = wait(self._ledger.sources(self._down), max(0.0, self._flushed + FLUSH_S - time.monotonic()))
+            ready = wait(self._merge.sources(self._down), max(0.0, self._flushed + FLUSH_S - time.monotonic()))
             self._begun = time.monotonic()
-            self._ledger.listen(ready)
+            self._merge.listen(ready)
             if self._down in ready:
                 self._batch += pickle.loads(self._down.recv_bytes())
         except (EOFError, OSError):
-            self._ledger.take(self._batch)
-            self._ledger.end_truth(False)
+            self._merge.take(self._batch)
+            self._merge.end_truth(False)
             self._recorder.finish()
             self.done = True
             return
@@ -274,13 +274,13 @@ class _Writing:
         if last is None and not due and len(batch) < AT_ONCE:
             return  # what waits would be lost with an open chunk as well
         self._batch = []
-        self._ledger.take(batch if last is None else batch[:-1])
+        self._merge.take(batch if last is None else batch[:-1])
         if due:
             self._recorder.flush()
             self._flushed = now
         if last is not None and last[0] == "truth ends":
-            self._ledger.end_truth(last[2])
-            self._up.send(self._ledger.judged)
+            self._merge.end_truth(last[2])
+            self._up.send(self._merge.judged)
         elif last is not None:
             self._recorder.metadata("result", last[2])
             path = self._recorder.finish()

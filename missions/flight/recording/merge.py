@@ -17,7 +17,7 @@ from cablequad.model.instant import Shapes
 from cablequad.model.state import Difference, State, differences
 from logs.writing.encode import Model
 from logs.writing.recorder import Decisions, Message, Recorder
-from missions.flight.recording.ipc import Told, take, take_motions, take_samples
+from missions.flight.recording.ipc import PlantState, take, take_motions, take_samples
 from missions.scenario.metrics import Followed, Following, Grounded, OnGround, Standing
 from sitl.settings import Event
 
@@ -33,7 +33,7 @@ class Judged(NamedTuple):
     grounded: Grounded | None = None
 
 
-class Ledger:
+class Merge:
     """Takes what the bridge and the simulator say, and judges the flight by it."""
 
     def __init__(
@@ -49,7 +49,7 @@ class Ledger:
         self._shape = model.system.length.shape
         self._n_links = model.system.n_links
         self._truth: Connection | None = truth
-        self._told: deque[Told | Event] = deque()
+        self._told: deque[PlantState | Event] = deque()
         self._answered_us = 0
         self._ended = False
         self._slack: set[int] = set()
@@ -157,10 +157,10 @@ class Ledger:
         """Make what is to be written of the truth until then."""
         self._answered_us = answered_us
         self._recent = []
-        states: list[Told] = []
+        states: list[PlantState] = []
         while self._told and self._told[0].boot_us <= answered_us:
             message = self._told.popleft()
-            if isinstance(message, Told):
+            if isinstance(message, PlantState):
                 states.append(message)
                 continue
             self._states(states)
@@ -175,19 +175,19 @@ class Ledger:
     def _line(self, boot_us: int, kind: str, subject: str, text: str) -> None:
         self._true.append((boot_us, self._recorder.line(boot_us, kind, subject, text, "/plant")))
 
-    def _states(self, told: Sequence[Told]) -> None:
-        if not told:
+    def _states(self, states: Sequence[PlantState]) -> None:
+        if not states:
             return
-        times, held = [t.boot_us for t in told], [t.held for t in told]
-        motion = take_motions(told, *self._shape)
+        times, restrained = [t.boot_us for t in states], [t.restrained for t in states]
+        motion = take_motions(states, *self._shape)
         self._recent.append((times, motion.state))
         if self._ground is not None:
             self._ground.take(motion, self._used)
         pull = np.where(self._used, motion.tension, np.inf)
-        flown = [k for k, still in enumerate(held) if not still and not self._ended]
+        flown = [k for k, still in enumerate(restrained) if not still and not self._ended]
         self._smallest_N = min(self._smallest_N, float(pull[flown].min(initial=math.inf)))
         loose = set(flown) if self._slack or bool((pull[flown] < 0).any()) else set()
-        for k, messages in enumerate(self._recorder.truths(times, held, motion)):
+        for k, messages in enumerate(self._recorder.truths(times, restrained, motion)):
             self._true.append((times[k], messages))
             if k in loose:
                 self._tell_slack(times[k], pull[k])
