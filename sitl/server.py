@@ -5,13 +5,14 @@ for the answers (lockstep) or for the wall clock. A setpoint that answers the st
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
 from bridge.wire.frames import Packed, Signer
 from bridge.wire.link import Address, Link, Mishandled, Received
 from bridge.wire.link_faults import Channel, Faults, generator
+from bridge.wire.memory import MemoryNetwork
 from bridge.wire.messages import encode
 from bridge.wire.values import IN_AIR, ON_GROUND, AttitudeTarget, Timesync
 from cablequad.model import lie
@@ -39,7 +40,8 @@ CATCH_UP = 0.25  # s behind the wall clock that are made up for; more is let go
 class Server:
     """The running vehicles."""
 
-    def __init__(self, settings: Settings, sink: Sink) -> None:
+    def __init__(self, settings: Settings, sink: Sink, network: MemoryNetwork | None = None) -> None:
+        """`network`: instead of sockets, with a controller in the same thread; see `turns`."""
         s = settings
         self.n = n = len(s.system.m)
         self.settings = s
@@ -47,8 +49,8 @@ class Server:
         self._places = places(firmware, s.port_offset, s.host)
         trackers = () if s.loose else tracker_endpoints(s.port_offset, s.host)
         signer = Signer(s.signing_key, s.accept_unsigned_telemetry) if s.signing_key is not None else None
-        self.link = Link([*(place.endpoint for place in self._places), *trackers], signer)
-        self.link.reliable = s.lockstep and s.await_controller
+        self.link = Link([*(place.endpoint for place in self._places), *trackers], signer, network)
+        self.link.reliable = s.lockstep and s.await_controller and network is None
         ports = (len(self._places), len(self._places) + 1)
         self._tracker = tracker.Tracker(self.link, ports, s.system.n_links, s.control_us)
         self.plant = UntetheredPlant(s.system, s.airframe, s.initial, s.physics_us * 1e-6) if s.loose else plant_of(s)
@@ -96,13 +98,18 @@ class Server:
 
     def run(self, stop: Callable[[], bool]) -> Report:
         """Serve until `stop()`; the report says how time was kept. Raises PhysicsError if the motion diverges."""
+        for _ in self.turns(stop):
+            pass
+        return self.report()
+
+    def turns(self, stop: Callable[[], bool]) -> Iterator[None]:
+        """`run`, with a turn for others whenever answers are looked for; over sockets that took its time already."""
         while not stop():
             self._tick += 1
             self._one_tick()
-            self._wait(stop)
+            yield from self._wait(stop)
         self.link.flush()
         self._receive(0.0)
-        return self.report()
 
     def report(self) -> Report:
         """How time was kept so far."""
@@ -123,13 +130,15 @@ class Server:
 
     def _vehicle(self, i: int, firmware: str) -> Autopilot:
         s = self.settings
-        body = Body(float(s.system.m[i]), float(s.airframe.max_thrust[i]), s.system.g)
+        body = Body(float(s.system.m[i]), float(s.airframe.max_thrust[i]), s.system.g, s.density_ratio)
         links = tuple(self._places[k].kind for k in self._ports[i])
         ready = s.ready_us[i] if s.ready_us else None
         persona = PERSONAS[firmware]
         vehicle: Autopilot = (
             persona(i + 1, s.tick_us, links, body) if ready is None else persona(i + 1, s.tick_us, links, body, ready)
         )
+        for streams in vehicle.streams:
+            streams.phase_us = s.phase_us[i]
         for name, value in (s.parameters[i] if s.parameters else {}).items():
             vehicle.parameters.preset(name, value)
         return vehicle
@@ -309,8 +318,8 @@ class Server:
             due = now + self.settings.tick_us
             if isinstance(value, AttitudeTarget) and (frame.system, frame.component) == CONTROLLER:
                 stamp_us = value.boot_ms * 1000
-                if 0 < stamp_us <= now:
-                    due = max(due, stamp_us + self.settings.delay_us)
+                if 0 < stamp_us <= now and 1 <= value.system <= self.n:
+                    due = max(due, stamp_us + self.settings.delay_us[value.system - 1])
                     self._answer(frame, value, now)
             place = self._places[frame.port].vehicle
             for i in range(self.n) if place is None else (place,):
@@ -325,15 +334,16 @@ class Server:
                 self._engaged[i] = True
                 self._awaits_controller = not self.settings.loose
 
-    def _wait(self, stop: Callable[[], bool]) -> None:
+    def _wait(self, stop: Callable[[], bool]) -> Iterator[None]:
         """Until every engaged vehicle that spoke has its answer; where nobody is engaged, until the wall clock says."""
         if any(self._engaged):
             self._pace_from = None
-            self._barrier(stop)
+            yield from self._barrier(stop)
         else:
             self._pace()
+            yield
 
-    def _barrier(self, stop: Callable[[], bool]) -> None:
+    def _barrier(self, stop: Callable[[], bool]) -> Iterator[None]:
         now_ms = self.now_us // 1000
         deadline = self.link.now() + self.settings.answer_timeout_s
         closing: int | None = max(self._controller_port)  # the controller answers vehicle by vehicle
@@ -369,6 +379,7 @@ class Server:
             looks += 1
             self._receive(min(left, LOOK_S), closing)
             closing, read = None, True
+            yield
 
     def _pace(self) -> None:
         s = self.settings

@@ -35,7 +35,8 @@ class Settings(NamedTuple):
     tick_us: int
     truth_us: int  # between the states that the sink is told; a tick is a whole number of them
     control_us: int  # the tracker's rate, which is the controller's
-    delay_us: int
+    delay_us: tuple[int, ...]  # of each vehicle
+    phase_us: tuple[int, ...]  # of each vehicle's streams
     lockstep: bool
     await_controller: bool  # hold the clock at the first tick until a controller answers it
     speed: float  # wall-clock factor where nobody holds the clock
@@ -45,6 +46,7 @@ class Settings(NamedTuple):
     home: Home = Home()
     firmware: tuple[str, ...] = ()  # the persona of each vehicle; px4 where it is not said
     parameters: tuple[dict[str, float], ...] = ()  # set before boot, for each vehicle
+    density_ratio: float = 1.0  # of the air to that at sea level; ArduCopter makes up for it
     ready_us: tuple[int | None, ...] = ()  # when each estimator has a position; None: as the firmware takes
     loose: bool = False  # the vehicles alone on the ground: no load, no cables, no tracker
     faults: tuple[Faults, ...] = ()  # of what each vehicle receives
@@ -121,7 +123,11 @@ def sensors_of(s: Settings) -> Sensors:
     wrong = None
     if s.biases != Biases():
         rng = own_generator(s.seed, "biases")
-        wrong = s.biases.position * rng.normal(size=(n, 3)), s.biases.attitude * rng.normal(size=(n, 3))
+        b = s.biases
+        wrong = (
+            b.position * rng.normal(size=(n, 3)) + np.array(b.position_offset),
+            b.attitude * rng.normal(size=(n, 3)) + np.array(b.attitude_offset),
+        )
     instruments = None
     if s.grades is not None:
         instruments = [Instruments(s.grades, own_generator(s.seed, f"instruments {i + 1}")) for i in range(n)]

@@ -7,11 +7,12 @@ in; what goes to one address in one breath shares a datagram.
 import select
 import time
 from collections import deque
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any, NamedTuple
 
 from bridge.wire.batches import Batch
 from bridge.wire.frames import SIGNED, Packed, Signer, Verdict, checksum, frame, targeted
+from bridge.wire.memory import MemoryNetwork, MemoryPort
 from bridge.wire.messages import KINDS
 from bridge.wire.poller import Poller
 from bridge.wire.ports import Address, Endpoint, LinkError, Port, StreamPort, open_port
@@ -24,6 +25,7 @@ LATELY_KEPT = 128  # frames of one sender that are known again, half of those af
 SENT_KEPT = 100  # frames to one receiver that may be sent again
 DATAGRAMS_KEPT = 8
 SENDERS_KEPT = 4096  # whose sequence numbers are remembered
+MOST_TURNS = 64  # of the other side of a network in memory, in which it may have nothing to say
 MOST_ROUNDS = 512  # a flood must not keep the loop from its own work
 
 
@@ -79,8 +81,14 @@ class Mishandled:
 class Link:
     """Ports that are waited on together, and the clock."""
 
-    def __init__(self, endpoints: list[Endpoint], signer: Signer | None = None) -> None:
-        self.ports: list[Port] = []
+    def __init__(
+        self, endpoints: list[Endpoint], signer: Signer | None = None, network: MemoryNetwork | None = None
+    ) -> None:
+        """`network`: instead of sockets. Raises LinkError where an address is taken."""
+        self._network = network
+        self.go_on: Callable[[], bool] | None = None  # in memory: let the other side work; whether it could
+        self._arrived: deque[tuple[int, Address, bytes]] = deque()  # datagrams of a network in memory
+        self.ports: list[Port | MemoryPort] = []
         self.counters = Counters(len(endpoints))
         self.signer = signer
         self._poller = Poller()
@@ -93,7 +101,10 @@ class Link:
         self._sent: dict[tuple[int, Address], deque[tuple[bytes, int]]] = {}  # the last datagrams, and their frames
         try:
             for index, endpoint in enumerate(endpoints):
-                self.ports.append(open_port(endpoint, self._poller, index))
+                if network is not None:
+                    self.ports.append(network.open(endpoint, index, self._arrived))
+                else:
+                    self.ports.append(open_port(endpoint, self._poller, index))
             self._streams = [port for port in self.ports if isinstance(port, StreamPort)]
         except BaseException:
             self.close()
@@ -115,6 +126,8 @@ class Link:
         `closing` is the port on which the last of a burst is expected: whoever is woken by the first reads on while
         the rest is on its way, and sleeps once more at most, not before every datagram; no longer than `GRACE_S`.
         """
+        if self._network is not None:
+            return self._poll_memory(timeout)
         now = time.monotonic()
         for stream in self._streams:
             stream.tend(now)
@@ -126,6 +139,7 @@ class Link:
                 if index == closing:
                     closing = None
                 port = self.ports[index]
+                assert not isinstance(port, MemoryPort)
                 for address, data in port.receive(read_from):
                     frames = self._split(index, address, data)
                     if frames:
@@ -134,10 +148,26 @@ class Link:
             # asking once whether there is more costs less than being told by every socket that there is none
             ready = self._poller.ready(0.0)
             if not ready and closing is not None:
-                waits_on, closing = self.ports[closing].listening(), None
+                last, closing = self.ports[closing], None
+                waits_on = [] if isinstance(last, MemoryPort) else last.listening()
                 if waits_on and select.select(waits_on, (), (), GRACE_S)[0]:
                     ready = self._poller.ready(0.0)
             rounds += 1
+        return out
+
+    def _poll_memory(self, timeout: float) -> list[Received]:
+        """What has arrived; where nothing has, and there is time to wait, what arrives when the other side goes on."""
+        if timeout > 0.0 and self.go_on is not None:
+            turns = 0
+            while not self._arrived and turns < MOST_TURNS and self.go_on():
+                turns += 1
+        out: list[Received] = []
+        while self._arrived:
+            index, address, data = self._arrived.popleft()
+            frames = self._split(index, address, data)
+            if frames:
+                self.ports[index].learn(address)
+                out += frames
         return out
 
     def put(

@@ -59,15 +59,38 @@ class Endpoint(NamedTuple):
         return cls(address if listens else None, None if listens else address, scheme.startswith("tcp"))
 
 
-class DatagramPort:
-    """One UDP socket."""
+class Peers:
+    """Who is on the other side of a port without connections."""
 
-    def __init__(self, endpoint: Endpoint, poller: Poller, index: int) -> None:
+    def __init__(self, endpoint: Endpoint) -> None:
         self.endpoint = endpoint
         self.peers: OrderedDict[Address, None] = OrderedDict()
         self.heard = endpoint.peer is not None  # whether somebody may be there
         self._newest: Address | None = None  # of the peers
         self._addresses = [] if endpoint.peer is None else [endpoint.peer]
+
+    def learn(self, address: Address) -> None:
+        """Remember who spoke to us."""
+        if address in (self._newest, self.endpoint.peer):
+            return
+        if address not in self.peers:
+            while len(self.peers) >= PEERS_KEPT:
+                self.peers.popitem(last=False)
+            self.peers[address] = None
+        self.peers.move_to_end(address)
+        self._newest, self.heard = address, True
+        self._addresses = [*self._addresses[: self.endpoint.peer is not None], *self.peers]
+
+    def addresses(self) -> list[Address]:
+        """Everyone a broadcast on this port goes to."""
+        return self._addresses
+
+
+class DatagramPort(Peers):
+    """One UDP socket."""
+
+    def __init__(self, endpoint: Endpoint, poller: Poller, index: int) -> None:
+        super().__init__(endpoint)
         self._datagram = memoryview(bytearray(LARGEST))
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
@@ -85,22 +108,6 @@ class DatagramPort:
         except (BlockingIOError, ConnectionRefusedError):
             return []
         return [(address, bytes(self._datagram[:size]))]
-
-    def learn(self, address: Address) -> None:
-        """Remember who spoke to us."""
-        if address in (self._newest, self.endpoint.peer):
-            return
-        if address not in self.peers:
-            while len(self.peers) >= PEERS_KEPT:
-                self.peers.popitem(last=False)
-            self.peers[address] = None
-        self.peers.move_to_end(address)
-        self._newest, self.heard = address, True
-        self._addresses = [*self._addresses[: self.endpoint.peer is not None], *self.peers]
-
-    def addresses(self) -> list[Address]:
-        """Everyone a broadcast on this port goes to."""
-        return self._addresses
 
     def send(self, data: bytes, address: Address) -> bool:
         """Whether the system took the datagram."""

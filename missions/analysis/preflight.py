@@ -2,28 +2,23 @@
 
 import html
 import multiprocessing
+import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 from rich.console import Console
 from rich.table import Table
 
-from bridge.wire.link import Link, LinkError
 from missions.analysis.check import check
 from missions.analysis.drills import Drill, compared, drills, flown, in_the_air, rehearsal
 from missions.analysis.margins import measure
-from missions.flight.run import Options, Progress, endpoints, run
+from missions.flight.run import Options, Progress, run
 from missions.flight.summary import Summary
 from missions.flight.terminal import margin_text
 from missions.scenario.loading import Flight, ScenarioError
-from sitl.addresses import places, tracker_endpoints
-from sitl.settings import HOST
 
-LANES = 2  # flights at a time
 COARSE = 4  # bisections of a margin: whether it is enough is asked, not how large it is to a per cent
-PORTS = 200  # from one flight's to the next one's
 THRUST_SHARE = 0.6  # of its greatest, that a vehicle may need at rest
 ASKED = {
     "delay on top": 1.0, "loss of setpoints": 0.05, "thrust stronger": 1.1, "thrust weaker": 0.9,
@@ -51,23 +46,20 @@ class Line(NamedTuple):
 
 
 def preflight(flight: Flight, options: Options, tell: Callable[[str], None]) -> Iterator[Line]:
-    """Every line, as soon as it is known; `tell` hears what is being done."""
-    told: list[tuple[Drill, list[Future[Summary]]]] = []
-    for flights in range(1 + 2 * len(drills(flight))):
-        _ports_are_free(flight, options.port_offset + PORTS * flights)
+    """Every line, as soon as it is known; `tell` hears what is being done.
+
+    Each flight is in one process, as many at a time as there are processors: nothing of them depends on the computer.
+    """
+    flown_drills: list[tuple[Drill, list[Future[Summary]]]] = []
     tell("design")
     in_air, ground = in_the_air(flight), rehearsal(flight)
     lines = check(in_air, True, tell)  # before anything flies: what cannot be designed is not flown
-    with ProcessPoolExecutor(LANES, multiprocessing.get_context("spawn")) as pool:
+    with ProcessPoolExecutor(os.cpu_count() or 1, multiprocessing.get_context("spawn")) as pool:
         try:
-            nominal, flights = pool.submit(_nominal, flight, options), 0
+            nominal = pool.submit(_nominal, flight, options)
             for drill in drills(flight):
-                pair = []
-                for protect in (True, False):
-                    apart = replace(options, port_offset=options.port_offset + PORTS * (1 + flights))
-                    pair.append(pool.submit(flown, ground, drill, protect, apart))
-                    flights += 1
-                told.append((drill, pair))
+                pair = [pool.submit(flown, ground, drill, protect, options) for protect in (True, False)]
+                flown_drills.append((drill, pair))
             yield from _design(lines)
             tell("margins, and the flights meanwhile")
             yield from _margins(measure(in_air, bisections=COARSE))
@@ -76,23 +68,13 @@ def preflight(flight: Flight, options: Options, tell: Callable[[str], None]) -> 
             if summary.log is None:
                 raise ScenarioError(summary.reason)
             yield Line("flight", flight.scenario.name, "go" if summary.passed else "no-go", _told(summary._asdict()))
-            for drill, (protected, bare) in told:
+            for drill, (protected, bare) in flown_drills:
                 tell(f"drill: {drill.name}, with protection and without")
                 result = compared(drill, _tested(protected.result()), _tested(bare.result()))
                 yield Line("drill", f"{drill.name}: {drill.what}", result.verdict, result.why)
         except BaseException:
             pool.shutdown(wait=True, cancel_futures=True)  # nobody flies on for a page that is not finished
             raise
-
-
-def _ports_are_free(flight: Flight, offset: int) -> None:
-    """Raise NotTested where somebody else has a port that a flight needs: no verdict on any drill."""
-    try:
-        Link([place.endpoint for place in places(flight.firmware, offset, HOST)]).close()
-        Link(list(tracker_endpoints(offset, HOST))).close()
-        Link(endpoints(len(flight.firmware), Options(port_offset=offset))).close()
-    except LinkError as error:
-        raise NotTested(f"not tested: {error}") from None
 
 
 def _tested(s: Summary) -> Summary:

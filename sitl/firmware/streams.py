@@ -12,6 +12,7 @@ class Streams:
     def __init__(self, defaults_hz: Mapping[int, float], tick_us: int) -> None:
         self._defaults = {msgid: round(1e6 / hz) for msgid, hz in defaults_hz.items()}
         self._tick_us = tick_us
+        self.phase_us = 0  # of all streams: a firmware's clock does not begin with a controller's ticks
         self._interval = dict(self._defaults)
         self._next = dict.fromkeys(self._interval, 0)
         self._queue: list[tuple[int, int]] = []  # (when, message id) of every stream, as a heap
@@ -42,7 +43,8 @@ class Streams:
         while queue and queue[0][0] <= now_us:
             msgid = queue[0][1]
             interval = self._interval[msgid]
-            at = self._next[msgid] = interval * (now_us // interval + 1)
+            phase = self.phase_us % interval
+            at = self._next[msgid] = interval * ((now_us - phase) // interval + 1) + phase
             heapreplace(queue, (at, msgid))
             out.append(msgid)
         out.sort()

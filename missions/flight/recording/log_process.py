@@ -16,7 +16,7 @@ import time
 from collections.abc import Mapping, Sequence
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -56,6 +56,42 @@ class LogHeader(NamedTuple):
     target_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     standing: Standing | None = None  # of a mission
     in_gaps: bool = False  # written in the gaps that a flight in lockstep leaves on the processors
+
+
+class Recording(Protocol):
+    """Where a flight's log goes, whoever writes it."""
+
+    error: str | None
+
+    def open(self, opening: LogHeader) -> None:
+        """Say what is recorded, and where."""
+
+    def wait_ready(self) -> None:
+        """Until the log is open. Raises RecorderError if it cannot be."""
+
+    def received(self, boot_us: int, frames: Sequence[Received]) -> None:
+        """Frames that came in."""
+
+    def sent(self, boot_us: int, to: Sequence[int], frames: list[bytes]) -> None:
+        """Frames that went out, each with the system it went to."""
+
+    def decided(self, boot_us: int, sample: Sample, tension: list[float], phase: str, age_s: float) -> None:
+        """A control decision, which ends a tick."""
+
+    def event(self, boot_us: int, kind: str, subject: str, text: str) -> None:
+        """Something worth a line."""
+
+    def perf(self, boot_us: int, turnaround_s: float, ticks: int) -> None:
+        """Wall-clock figures."""
+
+    def judged(self, whole: bool) -> Judged:
+        """What was true of the flight. Ends what truth is written."""
+
+    def finish(self, result: Mapping[str, str]) -> Path:
+        """Write everything out; the log's path. Where that failed, `error` says so."""
+
+    def close(self) -> None:
+        """End it; without `finish` before, the log ends without a result."""
 
 
 class Closing(NamedTuple):
@@ -194,7 +230,15 @@ class LogProcess:
         return f"the recording has stood still for {STALL_S:g} s"
 
 
-def _encode_once(model: Model) -> None:
+def recorder_of(opening: LogHeader) -> Recorder:
+    """What writes the log that begins so. Raises RecorderError."""
+    names = {number: kind.msgname for number, kind in mavlink.mavlink_map.items()}
+    return Recorder(
+        opening.path, opening.model, opening.metadata, opening.attachments, opening.epoch_ns, opening.with_truth, names
+    )
+
+
+def encode_once(model: Model) -> None:
     """Compile what encoding calls before anybody waits for it."""
     n, L = model.system.length.shape
     still = np.zeros((n, 3))
@@ -209,20 +253,16 @@ def _child(down: Connection, up: Connection, truth: Connection) -> None:
         signal.signal(number, signal.SIG_IGN)  # the bridge's end of the pipe decides
     with contextlib.suppress(OSError):
         os.nice(10)  # the flight goes first
-    names = {number: kind.msgname for number, kind in mavlink.mavlink_map.items()}
     try:
         opening: LogHeader = pickle.loads(down.recv_bytes())
     except (EOFError, OSError):
         return
     try:
-        recorder = Recorder(
-            opening.path, opening.model, opening.metadata, opening.attachments, opening.epoch_ns, opening.with_truth,
-            names,
-        )  # fmt: skip
+        recorder = recorder_of(opening)
     except RecorderError as error:
         up.send(str(error))
         return
-    _encode_once(opening.model)
+    encode_once(opening.model)
     up.send("ready")
     merge = Merge(recorder, opening.model, truth, opening.target_m, opening.standing)
     writing = _Writing(recorder, merge, down, up)

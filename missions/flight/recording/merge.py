@@ -8,7 +8,7 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from multiprocessing.connection import Connection
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -23,6 +23,16 @@ from sitl.settings import Event
 
 TRUTH_WAIT_S = 1.0  # the simulator says what it did right after it spoke; longer means that it has ended
 TAUT_N = 0.05  # a cable that was slack is taut again when every link pulls with this
+
+
+class TruthSource(Protocol):
+    """Where the simulator's word comes from, a record at a time."""
+
+    def poll(self, timeout: float = 0.0, /) -> bool:
+        """Whether there is a record, waiting up to `timeout` s."""
+
+    def recv_bytes(self) -> bytes:
+        """The next record. Raises EOFError where nothing more comes."""
 
 
 class Judged(NamedTuple):
@@ -40,7 +50,7 @@ class Merge:
         self,
         recorder: Recorder,
         model: Model,
-        truth: Connection,
+        truth: TruthSource,
         target_m: tuple[float, float, float],
         standing: Standing | None,
     ) -> None:
@@ -48,7 +58,7 @@ class Merge:
         self._used = np.arange(model.system.length.shape[1])[None, :] < model.system.n_links[:, None]
         self._shape = model.system.length.shape
         self._n_links = model.system.n_links
-        self._truth: Connection | None = truth
+        self._truth: TruthSource | None = truth
         self._told: deque[PlantState | Event] = deque()
         self._answered_us = 0
         self._ended = False
@@ -125,7 +135,7 @@ class Merge:
 
     def sources(self, down: Connection) -> list[Connection]:
         """What may have something to say."""
-        return [down] if self._truth is None else [down, self._truth]
+        return [down, self._truth] if isinstance(self._truth, Connection) else [down]
 
     def listen(self, ready: Sequence[object]) -> None:
         """Take what the simulator has said, also while nothing is decided: it must never wait for us."""
