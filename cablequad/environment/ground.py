@@ -1,8 +1,10 @@
 """Level ground under a load: compliant contact with friction at the load's corners, cables' nodes and vehicles' feet.
 
-A point at depth d is pushed up by N = max(0, k d + c d' min(1, d / d_s)), d_s where its share of the weight rests, and
-held back by mu N against its slip, fading below `slip` and never more than a step can take. The spring gives back what
-it took, everything else only takes: contact adds no energy. Evaluated at every stage of the Runge-Kutta step.
+A point at depth d is pushed up by N = max(0, k d + c d' min(1, d / d_s)), d_s where its share of the weight rests.
+Coulomb friction with sticking: a spring k and a damper hold a point where it came to stand, up to mu N; beyond that it
+slides, and takes the place that holds it along. What stands does not creep. Springs give back what they took,
+everything else only takes: contact adds no energy. Evaluated at every stage of the Runge-Kutta step; places move after
+it.
 """
 
 import math
@@ -20,7 +22,7 @@ from cablequad.types import Array, Triple
 NONE = np.inf  # where there is no ground
 NODES, PAYLOAD, VEHICLES = 200.0, 120.0, 100.0  # rad/s: how a body on all its contacts bounces
 DAMPING = 0.5  # damping ratio of that
-FRICTION, SLIP = 0.6, 0.005  # -, m/s
+FRICTION = 0.6
 
 
 class Contact(NamedTuple):
@@ -29,7 +31,7 @@ class Contact(NamedTuple):
     stiffness: float  # N/m
     damping: float  # N s/m
     sag: float  # m: where its share of the weight rests
-    grip: float  # N s/m, most friction per slip
+    grip: float  # N s/m, most that a step can take of a point's slip
 
 
 class Ground(NamedTuple):
@@ -42,6 +44,9 @@ class Ground(NamedTuple):
     corner: Array  # (4,), as Contact
     foot: Array  # (n, 4)
     node: Array  # (n, L, 4): the payload-side end of each link but the last
+    corner_held: Array  # (c, 3) m, W: x and y where each stuck, and 1 where it does; these change with every step
+    foot_held: Array  # (n, 4, 3)
+    node_held: Array  # (n, L, 3)
 
 
 def ground(system: System, z: float, corners: Array, feet: Array, h: float, friction: float = FRICTION) -> Ground:
@@ -57,12 +62,13 @@ def ground(system: System, z: float, corners: Array, feet: Array, h: float, fric
     foot = np.array([contact(float(m), VEHICLES, len(feet), float(m) / 4, system.g, h) for m in system.m])
     corner = np.array(contact(carried, PAYLOAD, max(1, len(corners) // 2), lightest / 2, system.g, h))
     return Ground(
-        z, friction, np.ascontiguousarray(corners, dtype=float), np.array(feet, dtype=float), corner, foot, node
-    )
+        z, friction, np.ascontiguousarray(corners, dtype=float), np.array(feet, dtype=float), corner, foot, node,
+        np.zeros((len(corners), 3)), np.zeros((n, len(feet), 3)), np.zeros((n, L, 3)),
+    )  # fmt: skip
 
 
 def contact(mass: float, bounce: float, points: int, noticed: float, g: float, h: float) -> Contact:
-    """One of the `points` that a body of `mass` kg stands on, where it feels like `felt` kg; `bounce` in rad/s."""
+    """One of the `points` that a body of `mass` kg stands on, where it feels like `noticed` kg; `bounce` in rad/s."""
     stiffness = mass * bounce**2 / points
     return Contact(stiffness, 2.0 * DAMPING * mass * bounce / points, g / bounce**2, noticed / (2.0 * h))
 
@@ -74,20 +80,44 @@ def box_corners(box: tuple[float, float, float]) -> Array:
 
 
 @inlined
-def _push(c: Array, friction: float, depth: float, v: Triple) -> Triple:
-    """N, W: on a point `depth` m below the surface that moves with `v`."""
+def _push(c: Array, friction: float, depth: float, x: float, y: float, v: Triple, held: Array) -> Triple:
+    """N, W: on a point at x, y, `depth` m below the surface, that moves with `v` and is `held` (3,) somewhere."""
     if depth <= 0.0:
         return (0.0, 0.0, 0.0)
     normal = c[0] * depth + c[1] * v[2] * min(1.0, depth / c[2])
     if normal <= 0.0:
         return (0.0, 0.0, 0.0)
-    hold = min(friction * normal / math.sqrt(v[0] * v[0] + v[1] * v[1] + SLIP * SLIP), c[3])
-    return (-hold * v[0], -hold * v[1], -normal)
+    drag = min(c[1], c[3])
+    stretch = c[0] * held[2]
+    fx, fy = -stretch * (x - held[0]) - drag * v[0], -stretch * (y - held[1]) - drag * v[1]
+    share = friction * normal / max(math.sqrt(fx * fx + fy * fy), 1e-12)
+    if share < 1.0:  # it slides
+        fx, fy = share * fx, share * fy
+    return (fx, fy, -normal)
 
 
 @inlined
-def _corner(g: Ground, c: Array, x: Triple, v: Triple, R: Array, O: Array, r: Array) -> tuple[Triple, Triple]:
-    """Force (N, W) and moment (N m, body frame) on a body at x, v whose point r touches the ground, else zero."""
+def _stick(friction: float, depth: float, x: float, y: float, held: Array) -> None:
+    """Where a point at x, y is held from now on, in place: where it came to the ground, or as far behind as it slid."""
+    if depth <= 0.0:
+        held[2] = 0.0
+    elif held[2] == 0.0:
+        held[0], held[1], held[2] = x, y, 1.0
+    else:
+        sx, sy = x - held[0], y - held[1]
+        share = friction * depth / max(math.sqrt(sx * sx + sy * sy), 1e-12)
+        if share < 1.0:
+            held[0], held[1] = x - share * sx, y - share * sy
+
+
+@inlined
+def _corner(
+    g: Ground, c: Array, x: Triple, v: Triple, R: Array, O: Array, r: Array, held: Array
+) -> tuple[Triple, Triple]:
+    """Force (N, W) and moment (N m, body frame) on a body at x, v whose point r touches the ground, else zero.
+
+    The point is `held` as in `_push`.
+    """
     depth = x[2] + R[2, 0] * r[0] + R[2, 1] * r[1] + R[2, 2] * r[2] - g.z
     if depth <= 0.0:
         return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
@@ -97,7 +127,9 @@ def _corner(g: Ground, c: Array, x: Triple, v: Triple, R: Array, O: Array, r: Ar
         v[1] + R[1, 0] * spin[0] + R[1, 1] * spin[1] + R[1, 2] * spin[2],
         v[2] + R[2, 0] * spin[0] + R[2, 1] * spin[1] + R[2, 2] * spin[2],
     )
-    f = _push(c, g.friction, depth, moving)
+    px = x[0] + R[0, 0] * r[0] + R[0, 1] * r[1] + R[0, 2] * r[2]
+    py = x[1] + R[1, 0] * r[0] + R[1, 1] * r[1] + R[1, 2] * r[2]
+    f = _push(c, g.friction, depth, px, py, moving, held)
     own = (
         R[0, 0] * f[0] + R[1, 0] * f[1] + R[2, 0] * f[2],
         R[0, 1] * f[0] + R[1, 1] * f[1] + R[2, 1] * f[2],
@@ -108,26 +140,27 @@ def _corner(g: Ground, c: Array, x: Triple, v: Triple, R: Array, O: Array, r: Ar
 
 @inlined
 def press(system: System, at: State, g: Ground, commanded: RotorOutput, command: RotorOutput, s: Scratch) -> None:
-    """Add the forces of the ground in state `at` to s.on_vehicles and s.work; `commanded` and its moments to `command`."""
+    """Add the ground's forces in state `at` to s.on_vehicles and s.work; `command` gets moments beyond `commanded`."""
     work = s.work
     x, v = positions(system, at), velocities(system, at)
     for k in range(g.corners.shape[0]):
         here, moving = (at.x0[0], at.x0[1], at.x0[2]), (at.v0[0], at.v0[1], at.v0[2])
-        f, turn = _corner(g, g.corner, here, moving, at.R0, at.Omega0, g.corners[k])
+        f, turn = _corner(g, g.corner, here, moving, at.R0, at.Omega0, g.corners[k], g.corner_held[k])
         for a in range(3):
             work.on_payload[a] += f[a]
             work.turning[a] += turn[a]
     for i in range(system.m.shape[0]):
         for j in range(system.n_links[i] - 1):
             moving = (v[i, j + 1, 0], v[i, j + 1, 1], v[i, j + 1, 2])
-            f = _push(g.node[i, j], g.friction, x[i, j + 1, 2] - g.z, moving)
+            p = x[i, j + 1]
+            f = _push(g.node[i, j], g.friction, p[2] - g.z, p[0], p[1], moving, g.node_held[i, j])
             for a in range(3):
                 work.on_nodes[i, j, a] += f[a]
         for a in range(3):
             command.moment[i, a] = commanded.moment[i, a]
         for k in range(g.feet.shape[0]):
             here, moving = (x[i, 0, 0], x[i, 0, 1], x[i, 0, 2]), (v[i, 0, 0], v[i, 0, 1], v[i, 0, 2])
-            f, turn = _corner(g, g.foot[i], here, moving, at.R[i], at.Omega[i], g.feet[k])
+            f, turn = _corner(g, g.foot[i], here, moving, at.R[i], at.Omega[i], g.feet[k], g.foot_held[i, k])
             for a in range(3):
                 s.on_vehicles[i, a] += f[a]
                 command.moment[i, a] += turn[a]
@@ -183,6 +216,33 @@ def advance_on(
         reach = (0.5 * h, 0.5 * h, h, 0.0)[k]
         stage(system, state, at, s, weight, reach)
     finish(system, state, s)
+    stick(system, state, g)
+
+
+@inlined
+def _place(x: Array, R: Array, r: Array) -> Triple:
+    """m, W: a point r of a body at x, R."""
+    return (
+        x[0] + R[0, 0] * r[0] + R[0, 1] * r[1] + R[0, 2] * r[2],
+        x[1] + R[1, 0] * r[0] + R[1, 1] * r[1] + R[1, 2] * r[2],
+        x[2] + R[2, 0] * r[0] + R[2, 1] * r[1] + R[2, 2] * r[2],
+    )
+
+
+@inlined
+def stick(system: System, state: State, g: Ground) -> None:
+    """Where every point that touches the ground is held from now on, in place in `g`."""
+    x = positions(system, state)
+    for k in range(g.corners.shape[0]):
+        p = _place(state.x0, state.R0, g.corners[k])
+        _stick(g.friction, p[2] - g.z, p[0], p[1], g.corner_held[k])
+    for i in range(system.m.shape[0]):
+        for j in range(system.n_links[i] - 1):
+            q = x[i, j + 1]
+            _stick(g.friction, q[2] - g.z, q[0], q[1], g.node_held[i, j])
+        for k in range(g.feet.shape[0]):
+            p = _place(x[i, 0], state.R[i], g.feet[k])
+            _stick(g.friction, p[2] - g.z, p[0], p[1], g.foot_held[i, k])
 
 
 @jit
@@ -190,17 +250,22 @@ def stored(system: System, state: State, g: Ground) -> float:
     """J: what the ground's springs hold."""
     x = positions(system, state)
     total = 0.0
-    for r in g.corners:
-        depth = max(0.0, state.x0[2] + np.sum(state.R0[2] * r) - g.z)
-        total += 0.5 * g.corner[0] * depth * depth
+    for k in range(g.corners.shape[0]):
+        total += _spring(g, g.corner, _place(state.x0, state.R0, g.corners[k]), g.corner_held[k])
     for i in range(system.m.shape[0]):
         for j in range(system.n_links[i] - 1):
-            depth = max(0.0, x[i, j + 1, 2] - g.z)
-            total += 0.5 * g.node[i, j, 0] * depth * depth
-        for r in g.feet:
-            depth = max(0.0, x[i, 0, 2] + np.sum(state.R[i, 2] * r) - g.z)
-            total += 0.5 * g.foot[i, 0] * depth * depth
+            total += _spring(g, g.node[i, j], (x[i, j + 1, 0], x[i, j + 1, 1], x[i, j + 1, 2]), g.node_held[i, j])
+        for k in range(g.feet.shape[0]):
+            total += _spring(g, g.foot[i], _place(x[i, 0], state.R[i], g.feet[k]), g.foot_held[i, k])
     return total
+
+
+@inlined
+def _spring(g: Ground, c: Array, p: Triple, held: Array) -> float:
+    """J: in the springs of one point at p, m."""
+    depth = max(0.0, p[2] - g.z)
+    aside = (p[0] - held[0]) ** 2 + (p[1] - held[1]) ** 2 if depth > 0.0 and held[2] > 0.0 else 0.0
+    return 0.5 * c[0] * (depth * depth + aside)
 
 
 @jit
