@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bridge.fleet.fleet import Fleet
+from bridge.fleet.fleet import Fleet, FleetOptions
 from bridge.fleet.profiles import PROFILES
 from bridge.fleet.thrust import ThrustScale, made_thrust_N
 from bridge.fleet.vehicle import Request, Stage
@@ -38,7 +38,7 @@ class Played:
     """Vehicles that do what is asked, except what the test takes from them."""
 
     def __init__(self, n: int = 2, autopilot: int = PX4, configure: bool = True) -> None:
-        self.fleet = Fleet([25.0] * n, 0.004, configure)
+        self.fleet = Fleet([25.0] * n, 0.004, FleetOptions(configure))
         self.autopilot, self.profile = autopilot, PROFILES[autopilot]
         self.parameters = {"THR_MDL_FAC": 0.0, "GUID_OPTIONS": 0.0, "ATC_ANGLE_BOOST": 1.0}
         self.n, self.now = n, 0.0

@@ -31,7 +31,7 @@ TARGET = np.array([0.44, 0.78, -0.5])
 @pytest.fixture(scope="module")
 def case_1(tmp_path_factory: pytest.TempPathFactory) -> dict:
     """The README's flight, once."""
-    return flown("--out", str(tmp_path_factory.mktemp("case1")), "--port-offset", str(next_offset()))
+    return flown("--out", str(tmp_path_factory.mktemp("case1")), "--port-offset", str(next_offset()), sockets=True)
 
 
 def test_case_1_arrives_within_the_asked_bounds(case_1: dict) -> None:
@@ -92,10 +92,14 @@ def test_the_controller_heard_what_the_simulator_did(case_1: dict) -> None:
     np.testing.assert_allclose(control["link_direction"], plant["link_direction"][rows], rtol=0, atol=1e-6)
 
 
-def test_two_runs_with_one_seed_have_equal_logs(tmp_path: Path, offset: int) -> None:
+@pytest.mark.parametrize("name", ["paper-case-1", "mixed-fleet", "lossy-link", "lemniscate-vehicles"])
+def test_one_seed_gives_one_log_over_sockets_and_in_one_process(name: str, tmp_path: Path, offset: int) -> None:
     logs = []
-    for _ in range(2):
-        run = flown("--out", str(tmp_path), "--no-replay", "--duration", "1.5", "--port-offset", str(offset))
+    for sockets in (True, False):
+        run = flown(
+            name, "--out", str(tmp_path), "--no-replay", "--duration", "1.5", "--port-offset",
+            str(offset), sockets=sockets,
+        )  # fmt: skip
         by_topic: dict[str, list] = defaultdict(list)
         for entry in entries(Path(run["log"])):
             if entry.topic != "/perf":

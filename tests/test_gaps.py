@@ -73,7 +73,9 @@ def test_a_flight_in_lockstep_comes_to_its_end_where_every_processor_is_busy(tmp
     busy = [subprocess.Popen([sys.executable, "-c", spin]) for _ in os.sched_getaffinity(0)]
     begun = time.monotonic()
     try:
-        run = flown("--out", str(tmp_path), "--no-replay", "--duration", "1.5", "--port-offset", str(offset))
+        run = flown(
+            "--out", str(tmp_path), "--no-replay", "--duration", "1.5", "--port-offset", str(offset), sockets=True
+        )
         took = time.monotonic() - begun
     finally:
         for process in busy:

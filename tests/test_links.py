@@ -85,7 +85,7 @@ def test_a_hostile_link_is_flown_and_fails_the_same_way_twice(tmp_path: Path, of
     logs = []
     for k in range(2):
         s = flown(case_1(tmp_path, HOSTILE), "--no-replay", "--duration", "4", "--out", str(tmp_path / str(k)),
-                  "--port-offset", str(offset + 100 * k))  # fmt: skip
+                  "--port-offset", str(offset + 100 * k), sockets=k == 0)  # fmt: skip
         assert s["flown_s"] == pytest.approx(4.0)
         assert s["max_psi"] < 0.5
         assert s["predicted_ticks"] > 500
@@ -128,7 +128,7 @@ def test_a_signed_fleet_is_flown_with_the_key_alone(tmp_path: Path, offset: int)
     assert cablequad("signing-key", str(key))[0] == 0
     assert key.stat().st_mode & 0o077 == 0
     s = flown("--signing-key", str(key), "--no-replay", "--duration", "2", "--out", str(tmp_path),
-              "--port-offset", str(offset))  # fmt: skip
+              "--port-offset", str(offset), sockets=True)  # fmt: skip
     assert s["flown_s"] == pytest.approx(2.0)
     frames = [pb.MavlinkFrame.FromString(e.data).frame for e in entries(Path(s["log"])) if "/mavlink/" in e.topic]
     assert len(frames) > 5000

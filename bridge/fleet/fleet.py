@@ -6,9 +6,11 @@ judged by HEARTBEAT alone. Times are seconds of the vehicles' clock.
 """
 
 import math
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 from bridge.fleet.profiles import NEEDED_STREAMS, PROFILES, STREAMS_US
+from bridge.fleet.readback import Readback
 from bridge.fleet.setpoint_batch import Setpoints
 from bridge.fleet.thrust import MotorCommand, ThrustLaw
 from bridge.fleet.vehicle import ASK, RETRIES_S, TOGETHER, Request, Stage, Vehicle, because, command
@@ -49,29 +51,32 @@ FIX_3D = 3
 THRUST_NOT_CLIMB = 8  # in ArduCopter's GUID_OPTIONS
 
 
+class FleetOptions(NamedTuple):
+    """How a fleet is flown."""
+
+    configure: bool = False  # parameters that a vehicle needs to be flown are set, not only asked for
+    sensing: Sensing = "full"  # "vehicles": no payload tracker is needed
+    grounded: bool = False  # a mission, which says when to arm and may go on without a vehicle
+    airborne: bool = False  # a mission that begins with a load that hangs
+    density_ratio: float = 1.0  # of the air where it flies to that at sea level
+    attitude_rate: int = 1  # attitudes a control period
+    expected: tuple[Mapping[str, float], ...] = ()  # parameters that each vehicle was started with: they are read back
+
+
+USUAL = FleetOptions()
 _RESULTS = {1: "temporarily rejected", 2: "denied", 3: "unsupported", 4: "failed"}
 
 
 class Fleet:
     """The protocol side of n vehicles: `feed` what they say, send what is `due`."""
 
-    def __init__(
-        self,
-        max_thrust_N: list[float],
-        period_s: float,
-        configure: bool = False,
-        sensing: Sensing = "full",
-        grounded: bool = False,
-        airborne: bool = False,
-    ) -> None:
-        """`grounded`: a mission, which says when to arm and may go on without a vehicle; it begins when all are armed
+    def __init__(self, max_thrust_N: list[float], period_s: float, options: FleetOptions = USUAL) -> None:
+        """`max_thrust_N` of each vehicle, in the air where it flies.
 
-        or, where it begins `airborne`, when all carry themselves.
-
-        `configure`: parameters that a vehicle needs to be flown are set, not only asked for.
-
-        With `sensing` "vehicles" no payload tracker is needed; without cables measured, positions are in the loop.
+        A flight begins when all carry themselves, a mission from the ground when all are armed. Without cables
+        measured, positions are in the loop.
         """
+        grounded, sensing = options.grounded, options.sensing
         self.n = len(max_thrust_N)
         self.failure: str | None = None
         self.incomplete = ""  # what keeps the state from being whole, in words
@@ -81,12 +86,14 @@ class Fleet:
         self._max_thrust_N = max_thrust_N
         self._laws: list[ThrustLaw] = [MotorCommand(limit) for limit in max_thrust_N]
         self._setpoints = Setpoints(self.n)
-        self._configure = configure
+        self._configure, self._density = options.configure, options.density_ratio
+        self._readbacks = [Readback(expected) for expected in options.expected]
         self._answers: list[Request] = []
         self._period_s = period_s
         period_us = round(period_s * 1e6)
         self._intervals_us = {msgid: asked or period_us for msgid, asked in STREAMS_US.items()}
-        self._grounded, self._air_start = grounded, airborne or not grounded
+        self._intervals_us[mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION] = period_us // options.attitude_rate
+        self._grounded, self._air_start = grounded, options.airborne or not grounded
         self.may_arm = not grounded
         self.departed: dict[int, tuple[float, str]] = {}  # vehicles (from 0) that do something else: when to act, why
         self.astray: set[int] = set()  # vehicles (from 0) that do not know where they are
@@ -186,8 +193,11 @@ class Fleet:
                 self._heartbeat(v, value, now)
             case CommandAck():
                 self._ack(v, value)
-            case ParamValue() if v.profile is not None and value.name in v.profile.parameters:
-                self._parameter(v, value)
+            case ParamValue() if v.profile is not None:
+                if self._readbacks:
+                    self._readbacks[source - 1].take(value, v.profile.bytewise)
+                if value.name in v.profile.parameters:
+                    self._parameter(v, value)
             case Timesync() if value.tc1 == 0:
                 self._answers.append(Request(source, Timesync(round(now * 1e9), value.ts1)))
             case LandedState():
@@ -220,6 +230,15 @@ class Fleet:
         out, self._texts = self._texts, []
         return out
 
+    def not_taken(self) -> list[tuple[int, list[str]]]:
+        """Parameters that a vehicle was started with and did not take, with its system, once all of its are read."""
+        out = []
+        for k, readback in enumerate(self._readbacks):
+            if readback.done and readback.wrong:
+                out.append((k + 1, readback.wrong))
+                readback.wrong = []
+        return out
+
     def observed(self, now: float, gaps_m: list[float]) -> None:
         """A complete state was seen and answered; `gaps_m` is each vehicle's distance from where its cable puts it."""
         if self._setpoints_since is None:
@@ -245,6 +264,8 @@ class Fleet:
                 v.next_try = now + RETRIES_S.get(v.stage, RETRY_S)
                 out += [Request(v.system, value) for value in ASK[v.stage](v, self._intervals_us)]
             self._watch(v, now)
+            if self._readbacks and v.stage > Stage.PARAMETERS and not self._readbacks[v.system - 1].done:
+                out += [Request(v.system, value) for value in self._readbacks[v.system - 1].due(v.system, now)]
         return out
 
     def setpoints(self, sample: Sample, boot_ms: int) -> Setpoints:
@@ -288,11 +309,13 @@ class Fleet:
     def _heartbeat(self, v: Vehicle, beat: Heartbeat, now: float) -> None:
         v.heartbeat = beat
         if v.profile is None:
-            v.profile = PROFILES.get(beat.autopilot)
-            if v.profile is None:
+            profile = PROFILES.get(beat.autopilot)
+            if profile is None:
                 known = " and ".join(f"{p.name} ({number})" for number, p in PROFILES.items())
                 self._fail(f"vehicle {v.system} is autopilot type {beat.autopilot}; {known} can be flown")
                 return
+            v.is_a(profile)
+        assert v.profile is not None
         if v.stage is Stage.HEARTBEAT:
             self._enter(v, Stage.STREAMS, now)
         elif v.system - 1 in self._lost:
@@ -323,7 +346,7 @@ class Fleet:
             return  # the vehicle's answer to this one says whether it took it
         v.parameters[value.name] = number
         if v.profile is not None:
-            self._laws[v.system - 1] = v.profile.law(self._max_thrust_N[v.system - 1], v.parameters)
+            self._laws[v.system - 1] = v.profile.law(self._max_thrust_N[v.system - 1], v.parameters, self._density)
 
     def _clock(self, v: Vehicle, boot_ms: int) -> None:
         if boot_ms < v.clock_ms - REBOOT_MS and v.stage < Stage.HOLD:

@@ -14,28 +14,12 @@ class Profile(NamedTuple):
     control: tuple[str, int, tuple[float, ...]]  # the mode that obeys setpoints: name, custom_mode, DO_SET_MODE
     hold: tuple[str, int, tuple[float, ...]]
     parameters: tuple[str, ...]  # that decide what a setpoint means
+    bytewise: bool  # integer parameters come as raw bits
     arming_s: float  # that its estimator may need after boot, and some
-    law: Callable[[float, Mapping[str, float]], ThrustLaw]  # of its greatest thrust, N, and those parameters
+    law: Callable[[float, Mapping[str, float], float], ThrustLaw]  # of its greatest thrust, N, where it flies, those
+    # parameters and the air's density there to that at sea level
+    streams: frozenset[int]  # messages that are asked for, or stopped, by SET_MESSAGE_INTERVAL
 
-
-PROFILES = {
-    mavlink.MAV_AUTOPILOT_PX4: Profile(
-        "PX4",
-        ("OFFBOARD", 6 << 16, (1.0, 6.0)),
-        ("HOLD", 4 << 16 | 3 << 24, (1.0, 4.0, 3.0)),
-        ("THR_MDL_FAC",),
-        30.0,
-        lambda limit_N, known: MotorCommand(limit_N, known.get("THR_MDL_FAC", 0.0)),
-    ),
-    mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: Profile(
-        "ArduCopter",
-        ("GUIDED", 4, (1.0, 4.0)),
-        ("BRAKE", 17, (1.0, 17.0)),
-        ("GUID_OPTIONS", "ATC_ANGLE_BOOST"),
-        60.0,
-        lambda limit_N, known: LinearShare(limit_N, known.get("ATC_ANGLE_BOOST", 1.0) != 0.0),
-    ),
-}
 
 CONTROL_RATE = 0  # us: stands for the control period
 STOP = -1
@@ -59,3 +43,26 @@ STREAMS_US = {
 NEEDED_STREAMS = frozenset(
     {mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION, mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED}
 )  # a vehicle that refuses one of these is not flown; of the others it may have its own mind
+
+PROFILES = {
+    mavlink.MAV_AUTOPILOT_PX4: Profile(
+        "PX4",
+        ("OFFBOARD", 6 << 16, (1.0, 6.0)),
+        ("HOLD", 4 << 16 | 3 << 24, (1.0, 4.0, 3.0)),
+        ("THR_MDL_FAC",),
+        True,
+        30.0,
+        lambda limit_N, known, density: MotorCommand(limit_N, known.get("THR_MDL_FAC", 0.0)),
+        frozenset(STREAMS_US),
+    ),
+    mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: Profile(
+        "ArduCopter",
+        ("GUIDED", 4, (1.0, 4.0)),
+        ("BRAKE", 17, (1.0, 17.0)),
+        ("GUID_OPTIONS", "ATC_ANGLE_BOOST"),
+        False,
+        60.0,
+        lambda limit_N, known, density: LinearShare(limit_N / density, known.get("ATC_ANGLE_BOOST", 1.0) != 0.0),
+        frozenset(msgid for msgid, interval in STREAMS_US.items() if interval != STOP),  # it streams nothing unasked
+    ),
+}

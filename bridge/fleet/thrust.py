@@ -4,7 +4,8 @@ PX4 hands the field to its mixer through THR_MDL_FAC: fac x^2 + (1 - fac) x = fi
 give F = F_max x^2, so the field that asks for F is fac F/F_max + (1 - fac) sqrt(F/F_max).
 
 ArduCopter (GUID_OPTIONS 8) makes the field a share of F_max itself, after multiplying it by 1 / cos(commanded tilt)
-unless ATC_ANGLE_BOOST is 0.
+unless ATC_ANGLE_BOOST is 0, and dividing it by the ratio of the air's density to that at sea level. In air of that
+ratio rotors give so much less: its field is a share of what they give at sea level.
 """
 
 import math

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from enum import IntEnum
 from typing import Any, NamedTuple
 
-from bridge.fleet.profiles import NEEDED_STREAMS, STREAMS_US, Profile
+from bridge.fleet.profiles import NEEDED_STREAMS, Profile
 from bridge.wire.dialect import mavlink
 from bridge.wire.values import Command, Heartbeat, ParamRequestRead
 from cablequad.types import Array
@@ -51,12 +51,17 @@ class Vehicle:
         self.landed = 1
         self.battery = 1.0
         self.place: Array | None = None
-        self.streams_left = sorted(STREAMS_US, key=lambda msgid: (msgid not in NEEDED_STREAMS, msgid))
+        self.streams_left: list[int] = []
         self.refusal = ""
         self.text = ""  # of a STATUSTEXT that comes in chunks
         self.profile: Profile | None = None
         self.parameters: dict[str, float] = {}
         self.clock_ms = -1
+
+    def is_a(self, profile: Profile) -> None:
+        """Its first heartbeat says what it is, and so what is asked of it."""
+        self.profile = profile
+        self.streams_left = sorted(profile.streams, key=lambda msgid: (msgid not in NEEDED_STREAMS, msgid))
 
     def missing_parameter(self) -> str | None:
         """The next parameter that is not known yet."""

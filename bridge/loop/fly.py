@@ -20,6 +20,7 @@ from bridge.wire.messages import encode
 from bridge.wire.values import Command, CommandAck, Heartbeat, Imu, Origin, PayloadState, Timesync
 from cablequad.control.control_step import Sample
 
+NAMED = 3  # parameters that a vehicle did not take, in the line that the user sees
 PROCESS_ANYWAY_S = 0.5  # wall clock: frames that complete no state are acted on after this long all the same
 SILENT_S = 3.0  # wall clock without a single frame
 HOLD_S = 6.0  # for the vehicles to take over at the end
@@ -41,6 +42,7 @@ class Patience(NamedTuple):
 
     connect_s: float  # until everybody has been heard
     lockstep: bool = False  # the vehicles' clock waits for us: nothing but it decides, however slow the computer is
+    joint: bool = False  # it waits for autopilots, which may stall as long as they run
     simulated: bool = False  # the vehicles are a simulator's that is alive as long as nobody says otherwise
     stall_s: float = STALL_S  # wall clock without a frame, after which a simulator in lockstep is given up
 
@@ -54,6 +56,7 @@ class TickStatistics(NamedTuple):
     flight_s: float  # wall clock from the first state answered in flight to the last
     thrust_scales: list[ThrustScale]  # of each vehicle: newtons made per newton asked
     predicted_ticks: int  # answered with a state that was not all measured
+    mean_age_ms: float | None = None  # of the oldest measurement that decisions in flight rested on
     unread: int = 0  # frames that had come in when the flight ended and nobody looked at
     foreign: int = 0  # frames of others than the vehicles and the tracker, or under their ids from elsewhere
     places: frozenset[tuple[int, Address]] = frozenset()  # ports and addresses that vehicles and tracker spoke from
@@ -90,7 +93,7 @@ class _Flight:
     ) -> None:  # fmt: skip
         self.link, self.fleet, self.decider, self.record = link, fleet, decider, record
         self.loop, self.relation, self.patience = loop, relation, patience
-        self.barrier = TickBarrier(fleet.n, TRACKER, loop.period_ms, loop.sensing)
+        self.barrier = TickBarrier(fleet.n, TRACKER, loop.period_ms, loop.sensing, loop.attitude_rate)
         self.channels = channels
         self.sources = Sources(fleet.n, places)
         self.routes = self.sources.routes
@@ -99,10 +102,11 @@ class _Flight:
         self.pending: list[Received] = []
         self.heard: tuple[int, list[Received]] | None = None  # and when; not recorded yet, as nobody waits for that
         self.now_us = 0
+        self.tracker_us = 0  # the tracker's clock, as far as it was heard
         self.quiet_s = 0.0  # listened for in vain since a frame came; what we do ourselves is nobody's silence
         self.last: tuple[int, float] | None = None
         self.started: float | None = None
-        self.ticks = self.missed = self.predicted = 0
+        self.ticks = self.missed = self.predicted = self.ages_ms = self.aged = 0
         self.intervals = array("f")  # a long flight has millions
         self.scales = [ThrustScale()] * fleet.n
         n_links, inv_node = loop.system.n_links.tolist(), loop.system.inv_node
@@ -135,6 +139,7 @@ class _Flight:
             self.pending_since = arrived
         tracked: int | None = None
         heard = []
+        answers = []
         for frame in frames:
             if self.routes.get(frame.system) != (frame.port, frame.address) and not self._known(frame):
                 continue
@@ -145,10 +150,13 @@ class _Flight:
             if kind is Heartbeat:
                 self.sources.heard(frame)
             elif kind is Timesync:
-                self.offsets += self.relation.answered(frame.system, frame.value, arrived)
+                answers.append(frame)
             elif kind is PayloadState and frame.system == TRACKER:
                 tracked = frame.value.boot_us
         self.pending += heard
+        self.tracker_us = max(self.tracker_us, tracked or 0)
+        for frame in answers:
+            self.offsets += self.relation.answered(frame.system, frame.value, arrived, self.tracker_us)
         boot_ms = self.barrier.open()
         sample = None
         while boot_ms is not None:  # more than one where a tick was left open until the next began
@@ -176,7 +184,7 @@ class _Flight:
 
     def _ask_time(self, now: float) -> None:
         """What time every vehicle and the tracker have, in one breath."""
-        question = self.relation.due(now)
+        question = self.relation.due(now, self.tracker_us)
         if question is not None:
             self._send([Request(system, question) for system in sorted(self.routes)])
 
@@ -220,6 +228,11 @@ class _Flight:
             for channel in self.channels.values():
                 channel.released_us = self.now_us
             self.event("release", "all", f"{what}: t = 0")
+        for source, wrong in self.fleet.not_taken():
+            for text in wrong:
+                self.event("parameter", f"vehicle {source}", text)
+            some = "; ".join(wrong[:NAMED]) + (f"; and {len(wrong) - NAMED} more, in the log" * (len(wrong) > NAMED))
+            self.event("not-taken", f"vehicle {source}", f"vehicle {source} did not take what it was set to: {some}")
         for source, said in self.fleet.texts():
             self.event("statustext", f"vehicle {source}", said.text)
 
@@ -261,18 +274,34 @@ class _Flight:
         """What vehicle i's rotors give against what was asked: the accelerometer, less the pull of its cable."""
         if not self.decider.carrying:
             return
-        told = self.decider.observer.known(imu.boot_us // 1000)
+        pull = self._pull(i, imu.boot_us)
         acting = self.decider.observer.acting(imu.boot_us // 1000 - 1)  # until then
-        if told is None or acting is None:
+        if pull is None or acting is None:
             return
-        state, tension = told
-        system = self.loop.system
-        k = int(system.n_links[i])
+        made = made_thrust_N(float(self.loop.system.m[i]), float(imu.specific_force[2]), pull)
+        self.scales[i] = self.scales[i].seen(float(acting[1][i]), made)
+
+    def _pull(self, i: int, boot_us: int) -> float | None:
+        """N along vehicle i's body z: of its cable at an instant, from what is known of the ticks around it."""
+        period_us = 1000 * self.loop.period_ms
+        before_us = self.now_us - (self.now_us - boot_us + period_us - 1) // period_us * period_us
+        before = self._pull_at(i, before_us)
+        if before_us == boot_us or before is None:
+            return before
+        after = self._pull_at(i, before_us + period_us)
+        return None if after is None else before + (boot_us - before_us) / period_us * (after - before)
+
+    def _pull_at(self, i: int, boot_us: int) -> float | None:
+        known = self.decider.observer.known(boot_us // 1000)
+        if known is None:
+            return None
+        state, tension = known
+        if len(tension) != self.fleet.n:
+            return None  # of those that are left
+        k = int(self.loop.system.n_links[i])
         down = self.hanging_N[i]  # what hangs above the last link's mass
         R3 = state.R[i, :, 2]
-        pull = float(tension[i]) * float(state.q[i, k - 1] @ R3) + down * float(R3[2])
-        made = made_thrust_N(float(system.m[i]), float(imu.specific_force[2]), pull)
-        self.scales[i] = self.scales[i].seen(float(acting[1][i]), made)
+        return float(tension[i]) * float(state.q[i, k - 1] @ R3) + down * float(R3[2])
 
     def _answer(self, instant: Instant, arrived: float) -> Sample:
         now = instant.boot_ms * 1e-3
@@ -290,10 +319,14 @@ class _Flight:
         self._send(self.fleet.due(now), setpoints)
         done = self.link.now()
         for i, imu in self.accelerations:  # nobody waits for this
-            self._compare_thrust(i, imu)
-        self.accelerations = []
+            if imu.boot_us <= self.now_us:
+                self._compare_thrust(i, imu)
+        self.accelerations = [(i, imu) for i, imu in self.accelerations if imu.boot_us > self.now_us]
         self.record.decided(self.now_us, sample, decided.tension, self.decider.phase, instant.age_ms * 1e-3)
         self.predicted += instant.age_ms > 0 and self.fleet.flying
+        if self.fleet.flying:
+            self.ages_ms += instant.age_ms
+            self.aged += 1
         self._time(instant.boot_ms, arrived, done)
         return sample
 
@@ -330,7 +363,8 @@ class _Flight:
     def timing(self) -> TickStatistics:
         """What the loop measured of itself."""
         flight = 0.0 if self.started is None or self.last is None else self.last[1] - self.started
-        return TickStatistics(self.ticks, self.missed, self.intervals, flight, self.scales, self.predicted)
+        age = self.ages_ms / self.aged if self.aged else None
+        return TickStatistics(self.ticks, self.missed, self.intervals, flight, self.scales, self.predicted, age)
 
 
 def fly(
@@ -389,9 +423,10 @@ def fly(
 def _silence(flight: _Flight) -> tuple[bool, str]:
     """Whether a silence of all ends the flight untested, and why it ends it; nothing where it does not."""
     patience, t = flight.patience, flight.now_us * 1e-6
-    if flight.quiet_s <= (patience.stall_s if patience.lockstep else SILENT_S):
+    waits = patience.lockstep or patience.joint
+    if flight.quiet_s <= (patience.stall_s if waits else SILENT_S):
         return False, ""
-    if patience.lockstep:
+    if waits:
         where = f"at t = {t:.2f} s of the vehicles' clock"
         return True, f"not tested: the simulator stands still {where} for {patience.stall_s:g} s"
     if patience.simulated:

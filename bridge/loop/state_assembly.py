@@ -35,7 +35,7 @@ from cablequad.model.state import State, measured, positions
 from cablequad.model.system import System
 from cablequad.types import Array
 
-KEPT = 64  # instants that late measurements may still belong to
+KEPT = 64  # instants, for each attitude in a period, that late measurements may still belong to
 
 
 class LoopModel(NamedTuple):
@@ -48,6 +48,7 @@ class LoopModel(NamedTuple):
     step_s: float  # of the model
     filter: Filter | None = None  # for measurements with noise or without some; None: all is measured exactly
     sensing: Sensing = "full"
+    attitude_rate: int = 1  # how often a vehicle tells its attitude in a period
 
 
 class Instant(NamedTuple):
@@ -81,6 +82,9 @@ class StateAssembler:
     def __init__(self, loop: LoopModel) -> None:
         self._loop = loop
         self._n, self._L = loop.system.length.shape
+        self._kept = (
+            KEPT * loop.attitude_rate * (1 if loop.attitude_rate == 1 else self._n)
+        )  # each at a time of its own
         self._links_of = loop.system.n_links.tolist()
         self._links = sum(self._links_of)
         self._hanging = np.tile((0.0, 0.0, 1.0, 0.0, 0.0, 0.0), (self._n, self._L, 1))
@@ -196,9 +200,9 @@ class StateAssembler:
         return self._reported_x + since[:, None] * self._reported_v, self._reported_v.copy(), since
 
     def known(self, boot_ms: int) -> tuple[State, Array] | None:
-        """The state and the tensions (n,) N of an instant that was measured whole."""
+        """The state and the tensions (n,) N of an instant whose cables were measured."""
         parts, known = self._parts.get(boot_ms), self._known.get(boot_ms)
-        if parts is None or known is None or known[1] != boot_ms or parts.links_missing > 0:
+        if parts is None or known is None or parts.links_missing > 0:
             return None
         return known[0].state, parts.tension
 
@@ -227,7 +231,7 @@ class StateAssembler:
         return parts
 
     def _forget(self, store: dict) -> None:
-        while len(store) > KEPT:
+        while len(store) > self._kept:
             del store[next(iter(store))]  # the first that came
 
     def _cable(self, c: CableShape) -> None:
@@ -260,7 +264,9 @@ class StateAssembler:
 
     def _begin_apart(self) -> bool:
         """Begin with vehicles that keep their own time: what is held is at the tracker's stamp as they told it last."""
-        if self._loop.filter is not None or len(self._reported_R) < self._n:
+        if self._loop.filter is not None:
+            return self._begin_among_vehicles(self._loop.filter)
+        if len(self._reported_R) < self._n:
             return False
         for stamp in sorted(self._parts, reverse=True):
             parts = self._parts[stamp]
@@ -273,6 +279,26 @@ class StateAssembler:
                 self._known[stamp] = (Belief(state, self._no_force), min(stamp, self._oldest_reported()))
                 return True
         return False
+
+    def _begin_among_vehicles(self, filter: Filter) -> bool:
+        """Begin with vehicles alone whose streams have phases of their own: nothing is ever said of one instant by all.
+
+        Before they fly they stand or are held: each is where it reported last.
+        """
+        apart = len({ms % self._loop.period_ms for ms in self._reported_ms}) > 1
+        if self._loop.sensing != "vehicles" or not apart or min(self._reported_ms) < 0:
+            return False
+        if len(self._reported_R) < self._n or not self._parts:
+            return False
+        measured = nothing_measured(self._loop.system)
+        for i in range(self._n):
+            measured.x[i], measured.v[i] = self._reported_x[i], self._reported_v[i]
+            measured.R[i], measured.Omega[i] = self._reported_R[i].R, self._reported_R[i].Omega
+        belief = first_belief(filter, measured)
+        if belief is None:
+            return False
+        self._known[max(self._parts)] = (belief, min(self._reported_ms))
+        return True
 
     def _oldest_reported(self) -> int:
         """The stamp (ms) that the source which was silent for longest spoke of last; -1 before all have spoken."""

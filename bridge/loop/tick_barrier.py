@@ -11,8 +11,15 @@ CLOSING = frozenset({VehicleAttitude, VehiclePosition, PayloadState})  # what ma
 class TickBarrier:
     """Says when a tick has come: every source that lives has spoken of it, or has let a later one begin."""
 
-    def __init__(self, vehicles: int, tracker: int, period_ms: int, sensing: Sensing = "full") -> None:
-        """With `sensing` "vehicles" a tracker is waited for only once it has spoken."""
+    def __init__(
+        self, vehicles: int, tracker: int, period_ms: int, sensing: Sensing = "full", attitude_rate: int = 1
+    ) -> None:
+        """With `sensing` "vehicles" a tracker is waited for only once it has spoken.
+
+        `attitude_rate`: how often a vehicle speaks in a period.
+        """
+        self._beside = dict.fromkeys(range(1, vehicles + 1), 0)  # stamps in a row that are not of a tick
+        self._attitude_rate = attitude_rate
         self._newest = dict.fromkeys(range(1, vehicles + 1), -1)
         if sensing != "vehicles":
             self._newest[tracker] = -1
@@ -35,11 +42,18 @@ class TickBarrier:
         if (source == self._tracker and not known) or (
             known and (stamp > self._newest[source] or stamp < self._newest[source] - REBOOT_MS)
         ):
+            if source != self._tracker and self._between_ticks(source, stamp):
+                return
             self._newest[source], self._moved = stamp, True
-            tracker = self._newest.get(self._tracker, -1)
-            beside = tracker >= 0 and (stamp - tracker) % self._period_ms != 0
-            if source != self._tracker and known:
-                (self._own_time.add if beside else self._own_time.discard)(source)
+
+    def _between_ticks(self, source: int, stamp: int) -> bool:
+        """Whether a vehicle that keeps to ticks speaks between two; who never speaks of a tick keeps its own time."""
+        tracker = self._newest.get(self._tracker, -1)
+        beside = tracker >= 0 and (stamp - tracker) % self._period_ms != 0
+        self._beside[source] = self._beside[source] + 1 if beside else 0
+        own = self._beside[source] >= self._attitude_rate
+        (self._own_time.add if own else self._own_time.discard)(source)
+        return beside and not own
 
     def open(self) -> int | None:
         """The tick (ms) that has come and was not told yet."""

@@ -68,7 +68,8 @@ class TimeSync:
         self._tracker = tracker
         self.asks = asks
         self._clocks = {k: _Clock() for k in range(1, vehicles + 1)}
-        self._answers: dict[int, dict[int, tuple[int, int]]] = {}  # asked at -> system -> (told, round trip), ns
+        self._answers: dict[int, dict[int, tuple[int, int]]] = {}  # asked at -> system -> (answered, round trip), ns
+        self._simulated: dict[int, int] = {}  # asked at -> the tracker's clock then, us
         self._next = 0.0
         self._origins: dict[int, Origin] = {}
         self._shifts: dict[int, Array] = {}
@@ -77,24 +78,30 @@ class TimeSync:
             for clock in self._clocks.values():
                 clock.offset_ms = 0
 
-    def due(self, now: float) -> Timesync | None:
-        """What to ask every vehicle and the tracker at `now`, s of the wall clock."""
+    def due(self, now: float, tracker_us: int) -> Timesync | None:
+        """What to ask every vehicle and the tracker at `now`, s of the wall clock, `tracker_us` of the tracker's."""
         if not self.asks or now < self._next:
             return None
         settled = all(clock.pairs >= SETTLED for clock in self._clocks.values())
         self._next = now + (ASK_LATER_S if settled else ASK_S)
         asked = round(now * 1e9)
-        self._answers[asked] = {}
+        self._answers[asked], self._simulated[asked] = {}, tracker_us
         while len(self._answers) > BREATHS:
-            del self._answers[min(self._answers)]
+            oldest = min(self._answers)
+            del self._answers[oldest], self._simulated[oldest]
         return Timesync(0, asked)
 
-    def answered(self, system: int, value: Timesync, now: float) -> list[ClockOffset]:
-        """Take an answer that came at `now`; what it makes known."""
+    def answered(self, system: int, value: Timesync, now: float, tracker_us: int) -> list[ClockOffset]:
+        """Take an answer that came at `now`, when the tracker's clock showed `tracker_us`; what it makes known.
+
+        Simulated clocks may run faster than the wall clock, where they make up for a pause: both answers were given
+        within the round trip, by whichever clock it took longer.
+        """
         answers = self._answers.get(value.ts1)
         if value.tc1 == 0 or answers is None or system in answers:
             return []
-        answers[system] = (value.tc1, round(now * 1e9) - value.ts1)
+        simulated_ns = (tracker_us - self._simulated[value.ts1]) * 1000 + STEP_NS
+        answers[system] = (value.tc1, max(round(now * 1e9) - value.ts1, simulated_ns))
         if self._tracker not in answers:
             return []
         out = []

@@ -12,6 +12,7 @@ from cablequad.types import Array
 NO_FOLLOW_RAD, NO_FOLLOW_S = 0.7, 0.2
 SAGGED, CUT, CUT_M, GONE_S = 0.8, 1.06, 0.1, 0.08  # of a cable's length
 SILENT_S = 0.5  # after which what goes wrong is put down to who is silent
+APART_S = 1.5  # for which it must look lost where every vehicle flies by itself and the load swings between them
 FRESH_S = 0.15  # old is a vehicle's word of where it is
 
 
@@ -45,7 +46,8 @@ class FaultDetector:
         """The first of `members` that is lost; `ends` (n, 3) m are where cables of `lengths` (n,) m are tied.
 
         `R_c` (n, 3, 3) is what was commanded last. `departed` tells by vehicle when to act and why, `astray` who does
-        not know where it is. Where cables need not be `taut` a vehicle may be near its end of one.
+        not know where it is. Where cables need not be `taut` every vehicle flies by itself: it may be near its end of
+        one, and what a load that topples does to it for a moment is not its doing.
         """
         far = np.linalg.norm(observation.x - ends, axis=1)
         for own, k in enumerate(members):
@@ -70,12 +72,15 @@ class FaultDetector:
 
 def _seen(own: int, far: float, length: float, R_c: Array | None, R: Array, taut: bool) -> tuple[Loss, float]:
     """What is wrong with a vehicle `far` m from its end of a cable of `length` m, and how long that is waited for."""
+    gone_s = GONE_S if taut else APART_S
     if far > CUT * length + CUT_M:
-        return Loss(own, f"it is {far:.2f} m from the load: its cable is off", True, True), GONE_S
+        return Loss(own, f"it is {far:.2f} m from the load: its cable is off", True, True), gone_s
     if taut and far < SAGGED * length:
         return Loss(own, "it is where its cable cannot hold the load", False, False), GONE_S
     if R_c is not None:
         cosine = float(R_c[own, :, 2] @ R[own, :, 2])
         if math.acos(min(1.0, max(-1.0, cosine))) > NO_FOLLOW_RAD:
-            return Loss(own, "it does not follow its attitude", False, False), NO_FOLLOW_S
+            return Loss(own, "it does not follow its attitude", False, False), max(
+                NO_FOLLOW_S, gone_s if not taut else 0.0
+            )
     return Loss(own, "", False, True), 0.0

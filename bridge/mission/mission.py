@@ -84,7 +84,7 @@ class Mission:
         self.design = designs[frozenset()]
         n = len(self.design.system.m)
         self.members = list(range(n))
-        self.lost: dict[int, str] = {}
+        self.lost, self._fates = dict[int, str](), dict[int, str]()  # why, and what became of those that are lost
         self.phase: Phase | None = None
         self.phase_done = False
         self.now = 0.0
@@ -237,6 +237,8 @@ class Mission:
         self._run_script()
         if self.phase is not None and not self.phase_done and now - self._entered > self.plan.limits_s[self.phase]:
             self._timed_out()
+        if self.finished and self._fates:
+            self._tell_fates()
         sample = self._fly(t, self.here)
         self._last = sample
         return sample
@@ -584,6 +586,8 @@ class Mission:
         k = self.members[loss.member]
         self.lost[k] = loss.why
         self._tell("lost", f"vehicle {k + 1}", loss.why)
+        end = "it was told to land" if loss.sound else "its motors were told to stop"
+        self._fates[k] = f"lost in phase {self.phase}: {loss.why}; {end}"
         self.fleet.lose(k, self.plan.hooks, stop=not loss.sound)
         rest = [j for j in range(len(self.members)) if j != loss.member]
         if not rest:
@@ -620,6 +624,13 @@ class Mission:
         self.abort(f"vehicle {k + 1}: {loss.why}; the load is set down here")
         if self.phase is Phase.SET_DOWN:
             self._entered, self.phase_done = self.now, False
+
+    def _tell_fates(self) -> None:
+        """One line for each vehicle of a mission that lost some."""
+        for k in range(len(self._designs[frozenset()].system.m)):
+            text = self._fates.get(k, "flew to the end; it stands on the ground, disarmed")
+            self._tell("fate", f"vehicle {k + 1}", f"vehicle {k + 1}: {text}")
+        self._fates = {}
 
     def _timed_out(self) -> None:
         text = f"phase {self.phase} took more than {self.plan.limits_s[self.phase]:g} s"  # type: ignore[index]

@@ -41,6 +41,11 @@ def pressure_hPa(altitude_m: float) -> float:
     return float(SEA_LEVEL_HPA * max(0.0, 1.0 - LAPSE * altitude_m) ** POWER)
 
 
+def density_ratio(altitude_m: float) -> float:
+    """Of the air at an altitude above sea level to that at sea level, in the standard atmosphere."""
+    return float(max(0.0, 1.0 - LAPSE * altitude_m) ** (POWER - 1.0))
+
+
 def altitude_m(pressure: float) -> float:
     """Above sea level, as a barometer makes it of its pressure (hPa)."""
     return float((1.0 - (pressure / SEA_LEVEL_HPA) ** (1.0 / POWER)) / LAPSE)

@@ -15,7 +15,9 @@ class Noise(NamedTuple):
 
 
 class Biases(NamedTuple):
-    """Standard deviations of what a vehicle is always wrong by, each component; the observer knows nothing of it."""
+    """What vehicles are always wrong by, of which the estimator knows nothing."""
 
-    position: float = 0.0  # m
+    position: float = 0.0  # m, standard deviation of each component, each vehicle's own
     attitude: float = 0.0  # rad, of each body axis
+    position_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)  # m, W, of all vehicles
+    attitude_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)  # rad, about the body axes, of all vehicles

@@ -137,14 +137,15 @@ def with_responses(flight: Flight, found: list[Response]) -> dict[str, Any]:
     """
     s = flight.scenario
     table: dict[str, Any] = s.model_dump(mode="json")
-    was = s.real.thrust_scale
+    was, density = s.real.thrust_scale, s.vehicle.air_density_ratio
     scales = list(was) if isinstance(was, list) else [was] * len(found)
     for i, r in enumerate(found):
         own = table["vehicles"][i]
         own["attitude_bandwidth_rad_s"] = round(r.bandwidth_rad_s, 2)
         own["attitude_damping"] = round(r.damping, 3)
-        own["max_thrust_N"] = round(float(flight.airframe.max_thrust[i]) * r.thrust_scale, 3)
+        own["max_thrust_N"] = round(float(flight.airframe.max_thrust[i]) / density * r.thrust_scale, 3)
         scales[i] = round(scales[i] / r.thrust_scale, 4)
+    table["vehicle"]["identified"] = True
     period_s = flight.control_us * 1e-6
     table["control"]["delay_ticks"] = max(1, round(max(r.delay_s for r in found) / period_s))
     table["real"]["thrust_scale"] = scales

@@ -92,7 +92,7 @@ def preflight(
     scenario: ScenarioArgument = "ground-to-ground",
     out: Annotated[Path, typer.Option(help="Folder for the page and the logs.")] = Path("runs"),
     as_json: JsonOption = False,
-    port_offset: PortOffset = 0,
+    port_offset: Annotated[int, typer.Option(hidden=True, help="Flights here need no ports.")] = 0,
 ) -> None:
     """Go or no-go: design, margins, the flight itself and eight drills with and without protection, on one page.
 
@@ -105,6 +105,7 @@ def preflight(
     from missions.flight.terminal import telling
     from missions.scenario.loading import ScenarioError
 
+    del port_offset
     console = Console(width=None if sys.stdout.isatty() else 120, highlight=False, quiet=as_json)
     try:
         flight = load(scenario, None, None)
@@ -114,7 +115,7 @@ def preflight(
         with telling(name) as tell:
             for note in flight.notes:
                 tell(note)
-            lines = list(page.preflight(flight, Options(out=out, port_offset=port_offset), tell))
+            lines = list(page.preflight(flight, Options(out=out, in_process=True), tell))
     except ScenarioError as error:
         usage(str(error))
     except page.NotTested as error:
@@ -167,7 +168,7 @@ def identify(
     console = Console(width=None if sys.stdout.isatty() else 120, highlight=False, quiet=as_json)
     who = backend(backend_name, firmware, launch)
     try:
-        asked = load(scenario, None, None, firmware)
+        asked = load(scenario, None, None, firmware, backend=who, connected=bool(connect))
         refuse(asked, as_json)
         if asked.scenario.mission is None or asked.scenario.mission.start != "ground":
             usage(
@@ -179,7 +180,8 @@ def identify(
         script = (resources.files("missions") / "scripts" / "tilt_steps.py").read_text(encoding="utf-8")
         ends = tuple(Endpoint.parse(url) for url in connect or ())
         speed = math.inf if who == "builtin" and not ends else 1.0
-        options = Options(ends, out, speed, port_offset, True, backend=who, launch=launch)
+        alone = who == "builtin" and not ends
+        options = Options(ends, out, speed, port_offset, True, backend=who, launch=launch, in_process=alone)
         with progress() as told:
             summary, _ = run(flight._replace(script=script), options, told)
         if not summary.passed or summary.log is None:
@@ -194,12 +196,15 @@ def identify(
     if as_json:
         print(json.dumps({"vehicles": [r._asdict() for r in found], "scenario": str(target), "log": summary.log}))
         return
-    table = Table(title=f"{asked.scenario.name}: how the vehicles answer", title_justify="left")
+    title = f"{asked.scenario.name}: how the vehicles answer (in brackets: as configured)"
+    table = Table(title=title, title_justify="left")
+    delay_ms = asked.scenario.control.delay_ticks * asked.control_us / 1000
     for column in ("vehicle", "bandwidth", "damping", "delay", "misfit", "hover thrust", "N made per N asked"):
         table.add_column(column, justify="right")
     for i, r in enumerate(found):
         table.add_row(
-            str(i + 1), f"{r.bandwidth_rad_s:.1f} rad/s", f"{r.damping:.2f}", f"{1e3 * r.delay_s:.0f} ms",
+            str(i + 1), f"{r.bandwidth_rad_s:.1f} rad/s ({asked.airframe.bandwidth[i]:g})",
+            f"{r.damping:.2f} ({asked.airframe.damping[i]:g})", f"{1e3 * r.delay_s:.0f} ms ({delay_ms:g})",
             f"{r.misfit_deg:.2f} deg", f"{100 * r.hover_share:.1f} %", f"{r.thrust_scale:.3f}",
         )  # fmt: skip
     console.print(table)

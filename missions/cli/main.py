@@ -80,6 +80,13 @@ def fly(
     accept_unsigned: UnsignedOption = False,
     backend_name: BackendOption = "builtin",
     launch: LaunchOption = None,
+    in_process: Annotated[
+        bool,
+        typer.Option(
+            "--in-process",
+            help="Vehicles, controller and log in one process, joined in memory: the same log, sooner.",
+        ),
+    ] = False,
     stall_timeout: Annotated[
         float, typer.Option(help="Seconds of wall clock that a simulator in lockstep may stand still.", min=1.0)
     ] = 600.0,
@@ -97,6 +104,8 @@ def fly(
 
     who = backend(backend_name, firmware, launch)
     pace = _speed(speed or ("max" if who == "builtin" else "1"))
+    if in_process and (connect or who != "builtin" or live or not math.isinf(pace)):
+        usage("--in-process flies built-in vehicles at full speed; leave out --connect, --backend, --live, --speed")
     if connect and who != "builtin":
         usage("--backend starts our physics; with --connect it runs already")
     if live:
@@ -109,12 +118,23 @@ def fly(
     if duration is not None and not (math.isfinite(duration) and duration > 0):
         usage(f"--duration: {duration} given; seconds above 0 are needed")
     try:
-        flight = load(scenario, duration, seed, firmware, script)
+        flight = load(scenario, duration, seed, firmware, script, backend=who, connected=bool(connect))
         refuse(flight, as_json)
         key = None if signing_key is None else read_key(signing_key)
         ends = tuple(Endpoint.parse(url) for url in connect or ())
         options = Options(
-            ends, out, pace, port_offset, configure or not ends, key, accept_unsigned, live, who, launch, stall_timeout
+            ends,
+            out,
+            pace,
+            port_offset,
+            configure or not ends,
+            key,
+            accept_unsigned,
+            live,
+            who,
+            launch,
+            in_process,
+            stall_timeout,
         )
         with progress() as told:
             summary, interrupted = run(flight, options, told)

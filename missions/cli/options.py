@@ -64,13 +64,22 @@ def load(
     seed: int | None,
     firmware: str | None = None,
     script: Path | None = None,
+    backend: "Backend" = "builtin",
+    connected: bool = False,
 ) -> "Flight":
-    """A scenario with what the command line says instead. Raises ScenarioError; an unknown firmware ends as usage."""
+    """A scenario with what the command line says instead, as `backend` flies it or what is `connected`.
+
+    Raises ScenarioError; an unknown firmware ends as usage.
+    """
+    from missions.flight.simulate import kinds
+    from missions.scenario.autopilots import behind
     from missions.scenario.loading import load as read
 
     if firmware not in (None, "auto", "px4", "arducopter"):
         usage(f"--firmware: {firmware!r} given; write px4, arducopter or auto")
-    return read(scenario, duration, seed, None if firmware == "auto" else firmware, script)
+    external = backend != "builtin"
+    flight = read(scenario, duration, seed, None if firmware == "auto" else firmware, script, external or connected)
+    return behind(flight, kinds(flight, backend)) if external else flight
 
 
 def backend(name: str, firmware: str | None, launch: Path | None) -> "Backend":

@@ -12,12 +12,14 @@ from typing import NamedTuple
 from bridge.wire.ports import vehicle_ports
 from cablequad.model.earth import Home
 from missions.flight.simulate import Backend, joint_steps, kinds
-from missions.scenario.loading import Flight, ScenarioError
+from missions.scenario.loading import Flight, ScenarioError, parameters_of
 from sitl.external.ardupilot import MOTORS
 
 ARM_M = 0.17  # of rotors that nothing is said of
 RATE_LOOP = 18.0  # rad/s: the bandwidth that rate gains are scaled to
 STOP_S = 5.0
+BESIDE_PX4 = '"$(dirname "$(readlink -f "$(command -v px4)")")/../etc"'  # where px4 on the PATH has its start scripts
+ACCELEROMETERS = ("", "2")  # that SITL has, by what their parameters' names have in them
 COMPASS_OFFSETS = {"X": 5.0, "Y": 13.0, "Z": -18.0}  # that SITL's compasses have; without them none is calibrated
 
 
@@ -32,7 +34,8 @@ class Launch(NamedTuple):
     def line(self) -> str:
         """As one would type it."""
         before = " ".join(f"{k}={shlex.quote(v)}" for k, v in self.environment.items())
-        return f"{before} {shlex.join(self.argv)}".strip()
+        words = " ".join(word if word == BESIDE_PX4 else shlex.quote(word) for word in self.argv)
+        return f"{before} {words}".strip()
 
 
 def launches(flight: Flight, backend: Backend, path: Path | None, offset: int, host: str, speed: float) -> list[Launch]:
@@ -61,6 +64,11 @@ def _binary(path: Path | None, name: str) -> Path:
     raise ScenarioError(f"--launch {path}: no {name} that can be run there; give its binary or the folder it is in")
 
 
+def started_with(flight: Flight, backend: Backend, i: int) -> dict[str, float]:
+    """The parameters that vehicle i's autopilot is started with, by name."""
+    return (arducopter_values if kinds(flight, backend)[i] == "arducopter" else px4_values)(flight, i)
+
+
 def _ardupilot(flight: Flight, i: int, binary: Path, offset: int, host: str, speed: float, rate: int) -> Launch:
     if offset % 10 and binary.is_absolute():
         raise ScenarioError(f"--port-offset {offset}: ArduPilot's ports move in steps of 10")
@@ -71,7 +79,9 @@ def _ardupilot(flight: Flight, i: int, binary: Path, offset: int, host: str, spe
         f"{speed if math.isfinite(speed) else 10:g}", "--wipe", "--defaults", "vehicle.parm", "--serial0",
         f"udpclient:{host}:{vehicle_ports(i)[0] + offset}",
     )  # fmt: skip
-    return Launch(f"vehicle-{i + 1}-arducopter", argv, {}, {"vehicle.parm": ardupilot_parameters(flight, i)})
+    return Launch(
+        f"vehicle-{i + 1}-arducopter", argv, {}, {"vehicle.parm": parameter_file(arducopter_values(flight, i))}
+    )
 
 
 def _px4(flight: Flight, i: int, binary: Path, offset: int, speed: float) -> Launch:
@@ -79,9 +89,8 @@ def _px4(flight: Flight, i: int, binary: Path, offset: int, speed: float) -> Lau
         raise ScenarioError(f"--port-offset {offset}: PX4's ports go by its instance alone; leave it out")
     root = binary.parent.parent
     environment = {"PX4_SIM_MODEL": "none_iris", "PX4_SIM_SPEED_FACTOR": f"{speed if math.isfinite(speed) else 10:g}"}
-    environment |= {f"PX4_PARAM_{name}": f"{value:g}" for name, value in px4_parameters(flight, i).items()}
-    etc = root / "etc" if binary.is_absolute() else Path("etc")
-    argv = (str(binary), "-i", str(i), "-d", str(etc))
+    environment |= {f"PX4_PARAM_{name}": f"{value:g}" for name, value in px4_values(flight, i).items()}
+    argv = (str(binary), "-i", str(i), "-d", str(root / "etc") if binary.is_absolute() else BESIDE_PX4)
     return Launch(f"vehicle-{i + 1}-px4", argv, environment, {})
 
 
@@ -98,15 +107,24 @@ def authority(flight: Flight, i: int) -> tuple[float, float]:
     return tilt / float(max(J[0, 0], J[1, 1])), MOTORS * 0.5 * most * drag / float(J[2, 2])
 
 
-def ardupilot_parameters(flight: Flight, i: int) -> str:
-    """A parameter file for ArduCopter: frame, thrust as share of the greatest, rate gains for the vehicle's inertia."""
+def parameter_file(values: Mapping[str, float]) -> str:
+    """A file as ArduPilot's `--defaults` takes it."""
+    return "".join(f"{name} {value:.6g}\n" for name, value in values.items())
+
+
+def arducopter_values(flight: Flight, i: int) -> dict[str, float]:
+    """What ArduCopter is to be told: frame, thrust as share of the greatest, rate gains for the vehicle's inertia.
+
+    Only accelerometers that SITL has are calibrated: it arms with none that is calibrated and not there.
+    """
     tilting, turning = authority(flight, i)
     p, yaw = min(max(RATE_LOOP / tilting, 0.01), 0.5), min(max(0.5 * RATE_LOOP / turning, 0.05), 2.5)
-    share = float(flight.system.m[i]) * flight.system.g / float(flight.airframe.max_thrust[i])
+    density = flight.scenario.vehicle.air_density_ratio  # which it makes up for
+    share = density * float(flight.system.m[i]) * flight.system.g / float(flight.airframe.max_thrust[i])
     calibrated = {f"COMPASS_OFS{k}_{a}": v for k in ("", "2", "3") for a, v in COMPASS_OFFSETS.items()}
-    calibrated |= {f"INS_ACC{k}OFFS_{a}": 0.001 for k in ("", "2", "3") for a in "XYZ"}
-    calibrated |= {f"INS_ACC{k}SCAL_{a}": 1.001 for k in ("", "2", "3") for a in "XYZ"}
-    values = calibrated | {
+    calibrated |= {f"INS_ACC{k}OFFS_{a}": 0.001 for k in ACCELEROMETERS for a in "XYZ"}
+    calibrated |= {f"INS_ACC{k}SCAL_{a}": 1.001 for k in ACCELEROMETERS for a in "XYZ"}
+    return calibrated | {
         "FRAME_CLASS": 1.0, "FRAME_TYPE": 1.0, "GUID_OPTIONS": 8.0, "GUID_TIMEOUT": 3.0,
         "MOT_THST_EXPO": 0.65, "MOT_SPIN_MIN": 0.15, "MOT_SPIN_MAX": 0.95, "MOT_SPIN_ARM": 0.1, "MOT_BAT_VOLT_MAX": 0.0,
         "MOT_THST_HOVER": min(max(share, 0.125), 0.6875), "MOT_HOVER_LEARN": 0.0, "MOT_YAW_HEADROOM": 100.0,
@@ -114,11 +132,10 @@ def ardupilot_parameters(flight: Flight, i: int) -> str:
         "ATC_RAT_PIT_P": p, "ATC_RAT_PIT_I": p, "ATC_RAT_PIT_D": 0.02 * p,
         "ATC_RAT_YAW_P": yaw, "ATC_RAT_YAW_I": 0.1 * yaw,
         "FS_THR_ENABLE": 0.0, "FS_GCS_ENABLE": 0.0, "FENCE_ENABLE": 0.0, "BATT_MONITOR": 4.0, "LOG_DISARMED": 0.0,
-    } | _own(flight, i)  # fmt: skip
-    return "".join(f"{name} {value:.6g}\n" for name, value in values.items())
+    } | parameters_of(flight.scenario, i)  # fmt: skip
 
 
-def px4_parameters(flight: Flight, i: int) -> dict[str, float]:
+def px4_values(flight: Flight, i: int) -> dict[str, float]:
     """What PX4 is to be told: rate gains for the vehicle's inertia, no radio, linear speed of the motors."""
     tilting, turning = authority(flight, i)
     p, yaw = min(max(RATE_LOOP / tilting, 0.01), 0.5), min(max(0.5 * RATE_LOOP / turning, 0.02), 0.6)
@@ -128,13 +145,7 @@ def px4_parameters(flight: Flight, i: int) -> dict[str, float]:
         "MPC_THR_HOVER": min(max(math.sqrt(share), 0.1), 0.8), "MC_ROLLRATE_P": p, "MC_ROLLRATE_I": p,
         "MC_ROLLRATE_D": 0.02 * p, "MC_PITCHRATE_P": p, "MC_PITCHRATE_I": p, "MC_PITCHRATE_D": 0.02 * p,
         "MC_YAWRATE_P": yaw, "IMU_INTEG_RATE": 250.0, "SDLOG_MODE": -1.0,
-    } | _own(flight, i)  # fmt: skip
-
-
-def _own(flight: Flight, i: int) -> dict[str, float]:
-    """What the scenario sets."""
-    s = flight.scenario
-    return {name: float(value) for name, value in {**s.vehicle.parameters, **s.vehicles[i].parameters}.items()}
+    } | parameters_of(flight.scenario, i)  # fmt: skip
 
 
 def start_lines(starts: list[Launch], folder: Path) -> list[str]:

@@ -7,7 +7,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +24,7 @@ from bridge.mission.phases import CARRIED, FLY
 from bridge.wire.frames import Signer
 from bridge.wire.link import Address, Endpoint, Link, LinkError, Received
 from bridge.wire.link_faults import Channel, FaultCounts, generator
+from bridge.wire.memory import MemoryNetwork
 from bridge.wire.messages import encode as encode_message
 from bridge.wire.messages import reread
 from bridge.wire.ports import TRACKER_PORTS, vehicle_ports
@@ -38,26 +39,41 @@ from cablequad.model.attitude import Setpoint, flown
 from cablequad.model.controllability import controllable
 from cablequad.model.state import measured, positions
 from logs.writing.recorder import RecorderError
-from missions.flight.launch import Autopilots, Launch, launches, start_lines
+from missions.flight.in_process import InProcessLog, InProcessSimulator
+from missions.flight.launch import Autopilots, Launch, launches, start_lines, started_with
 from missions.flight.live_viewer import Show
 from missions.flight.recording.header import opening
-from missions.flight.recording.log_process import LogProcess
+from missions.flight.recording.log_process import LogProcess, Recording
 from missions.flight.setup import FlightSetup, set_up
 from missions.flight.simulate import Backend, Serving, Simulator, few_collections, pin, settings
 from missions.flight.summary import Summary, Track, summarize
 from missions.scenario import loading as scenarios
 from missions.scenario.loading import Flight
 from missions.scenario.mission_setup import felt
+from sitl.external.joint import BOOT_S
 from sitl.settings import HOST
 
 SWITCH_S = 0.0005  # the writer thread gives the interpreter back to the control loop this often
 
 
+CONNECT_S = 15.0  # wall clock, for our own vehicles to be heard
 WAITS_S = 5.0  # wall clock, between lines that say what is waited for
-BOOT_S = 120.0  # wall clock, for autopilots to come up
-
 SHOWN = frozenset(
-    {"script", "phase", "pause", "resume", "abort", "guard", "lost", "crew", "stranger", "mishandled", "stall"}
+    {
+        "script",
+        "phase",
+        "pause",
+        "resume",
+        "abort",
+        "guard",
+        "lost",
+        "crew",
+        "stranger",
+        "mishandled",
+        "stall",
+        "not-taken",
+        "fate",
+    }
 )  # kinds of events that the user is told of as they come
 NO_TIME = TickStatistics(0, 0, [], 0.0, [], 0)
 
@@ -76,6 +92,7 @@ class Options:
     live: bool = False  # shown in the viewer that is open
     backend: Backend = "builtin"  # who flies the vehicles
     launch: Path | None = None  # the autopilots' binary or build folder; None: somebody else starts them
+    in_process: bool = False  # vehicles and log in this process and thread, joined in memory
     stall_timeout_s: float = STALL_S  # wall clock, that a simulator in lockstep may stand still
 
 
@@ -95,7 +112,7 @@ class Progress:
 class _DecisionSink:
     """Passes everything on to the log and keeps the figures of what was decided."""
 
-    def __init__(self, log: LogProcess, track: Track, say: Callable[[str], None]) -> None:
+    def __init__(self, log: Recording, track: Track, say: Callable[[str], None]) -> None:
         self.log, self.say = log, say
         self.track = track
         self.ended = False
@@ -119,6 +136,7 @@ def run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary, 
     """Fly; the summary, and whether the user interrupted. What goes wrong is the summary's reason, no exception."""
     if options.backend != "builtin":
         flight = without_hooks(flight)
+        _starts(flight, options)  # raises where they cannot be started, before anything is said of the flight
     for note in flight.notes:
         progress.say(f"note: {note}")
     for motion in controllable(flight.system).missing:
@@ -135,9 +153,10 @@ def _run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary,
     n = len(flight.system.m)
     key = options.signing_key
     signer = Signer(key, options.accept_unsigned_telemetry) if key is not None else None
-    link = Link(endpoints(n, options), signer)
-    simulator: Simulator | None = None
-    log: LogProcess | None = None
+    network = MemoryNetwork() if options.in_process else None
+    link = Link(endpoints(n, options), signer, network)
+    simulator: Simulator | InProcessSimulator | None = None
+    log: Recording | None = None
     processors = os.sched_getaffinity(0) if sys.platform == "linux" else set()
     before, thresholds = sys.getswitchinterval(), gc.get_threshold()
     show: Show | None = None
@@ -145,18 +164,24 @@ def _run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary,
     try:
         external = options.backend != "builtin"
         lockstep = math.isinf(options.speed) and not options.connect and not external
-        link.reliable = lockstep
-        connect_s = max(flight.scenario.link.connect_timeout_s, BOOT_S if external else 0.0)
+        link.reliable = lockstep and network is None
+        connect_s = flight.scenario.link.connect_timeout_s
+        if connect_s is None:  # autopilots that somebody else starts take their time
+            connect_s = BOOT_S if external or options.connect else CONNECT_S
         who = "connected" if options.connect else options.backend
-        log = LogProcess()
+        log = LogProcess() if network is None else InProcessLog()
         starts = _starts(flight, options) if external else []
         if not options.connect:
             serving = Serving(
                 lockstep=lockstep, await_controller=True, speed=options.speed, backend=options.backend,
                 port_offset=options.port_offset, signing_key=key,
-                accept_unsigned_telemetry=options.accept_unsigned_telemetry,
+                accept_unsigned_telemetry=options.accept_unsigned_telemetry, stall_s=options.stall_timeout_s,
             )  # fmt: skip
-            simulator = Simulator(settings(flight, serving), log.truth_end)
+            if isinstance(log, LogProcess):
+                simulator = Simulator(settings(flight, serving), log.truth_end)
+            elif network is not None and isinstance(log, InProcessLog):
+                simulator = InProcessSimulator(settings(flight, serving), log.truth_end, network)
+                link.go_on = simulator.go_on
         progress.doing("getting ready (a first start compiles the model: minutes)")
         design = scenarios.design(flight)  # while the others are on their way
         beginning = opening(flight, design, options.out, lockstep, bool(options.connect), who)
@@ -165,20 +190,23 @@ def _run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary,
             show = Show(beginning.path)
         _warm_up(design, flight)  # before the vehicles' clock runs: it does not wait for a compiler
         predict_once(flight)
-        prepared = set_up(flight, design, options.configure, lockstep)
+        prepared = set_up(flight, design, options.configure, lockstep, _expected(flight, options))
         if external and options.launch is not None:
             autopilots = Autopilots(starts, beginning.path.with_suffix(""))
         elif external:
             progress.say("start the autopilots:")
             for line in start_lines(starts, beginning.path.with_suffix("")):
                 progress.say(f"  {line}")
-        progress.doing("waiting for the log's process")
+        if network is None:
+            progress.doing("waiting for the log's process")
         log.wait_ready()
         sink = _DecisionSink(log, _track(flight), progress.say)
-        if simulator is not None and lockstep:
-            pin(-2)
-        sys.setswitchinterval(SWITCH_S)
-        progress.doing("waiting for the simulator (a first start compiles the model)")
+        if isinstance(simulator, Simulator):
+            sys.setswitchinterval(SWITCH_S)
+            if lockstep:
+                pin(-2)
+        if network is None:
+            progress.doing("waiting for the simulator (a first start compiles the model)")
         with _interrupts() as interrupted:
             if simulator is not None and not simulator.wait_ready(lambda: not interrupted()):
                 reason = simulator.failure or "interrupted by the user"
@@ -188,9 +216,11 @@ def _run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary,
                 few_collections()
                 if simulator is not None:
                     simulator.go()
+                stall_s = options.stall_timeout_s + external * 10.0  # whose physics says first who does not answer
+                patience = Patience(connect_s, lockstep, external, simulator is not None, stall_s)
                 outcome, timing = _fly(
                     flight, prepared, link, sink, simulator, interrupted, progress,
-                    Patience(connect_s, lockstep, simulator is not None, options.stall_timeout_s),
+                    patience,
                     external or bool(options.connect), lambda: None if autopilots is None else autopilots.ended(),
                     options.port_offset,
                 )  # fmt: skip
@@ -250,12 +280,20 @@ def _starts(flight: Flight, options: Options) -> list[Launch]:
     return launches(flight, options.backend, options.launch, options.port_offset, HOST, options.speed)
 
 
+def _expected(flight: Flight, options: Options) -> tuple[Mapping[str, float], ...]:
+    """Parameters that each vehicle was started with, which are read back; nobody's where ours fly."""
+    n = len(flight.system.m)
+    if options.backend != "builtin":
+        return tuple(started_with(flight, options.backend, i) for i in range(n))
+    return tuple(scenarios.parameters_of(flight.scenario, i) for i in range(n)) if options.connect else ()
+
+
 def _track(flight: Flight) -> Track:
     return Track(tuple(flight.scenario.target.position_m), flight.scenario.mission is None)
 
 
 def _wire(
-    link: Link, simulator: Simulator | None, tallies: list[FaultCounts], unread: int, foreign: int
+    link: Link, simulator: Simulator | InProcessSimulator | None, tallies: list[FaultCounts], unread: int, foreign: int
 ) -> dict[str, int]:
     """Frames on the wire, counted on both sides: down from the vehicles, up to them.
 
@@ -286,7 +324,7 @@ def _fly(
     prepared: FlightSetup,
     link: Link,
     sink: _DecisionSink,
-    simulator: Simulator | None,
+    simulator: Simulator | InProcessSimulator | None,
     interrupted: Callable[[], bool],
     progress: Progress,
     patience: Patience,
@@ -351,7 +389,8 @@ class _Waits:
 
     def look(self, quiet_s: float) -> None:
         """`quiet_s`: for how long nothing came, wall clock."""
-        if quiet_s > SILENT_S and not self._still and self._patience.lockstep:
+        may_stall = self._patience.lockstep or self._patience.joint
+        if quiet_s > SILENT_S and not self._still and may_stall:
             self._still = True
             until = f" up to {self._patience.stall_s:g} s (--stall-timeout)"
             self._progress.say(

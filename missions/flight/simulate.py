@@ -14,6 +14,7 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
+from bridge.loop.fly import STALL_S
 from bridge.wire.link import LinkError
 from cablequad.model.earth import Home
 from cablequad.model.noise import Biases
@@ -52,6 +53,7 @@ class Serving(NamedTuple):
     accept_unsigned_telemetry: bool = False
     faults_at_sender: bool = False
     backend: Backend = "builtin"
+    stall_s: float = STALL_S  # wall clock, that autopilots which run may leave unanswered
 
 
 def settings(flight: Flight, serving: Serving) -> Settings:
@@ -69,7 +71,8 @@ def settings(flight: Flight, serving: Serving) -> Settings:
         tick_us=flight.tick_us,
         truth_us=flight.truth_us,
         control_us=flight.control_us,
-        delay_us=s.control.delay_ticks * flight.control_us,
+        delay_us=scenarios.delays_us(flight),
+        phase_us=scenarios.phases_us(flight),
         lockstep=serving.lockstep,
         await_controller=serving.await_controller,
         speed=serving.speed,
@@ -79,7 +82,8 @@ def settings(flight: Flight, serving: Serving) -> Settings:
         host=serving.host,
         home=Home(epoch_s=s.epoch_s),
         firmware=flight.firmware,
-        parameters=tuple({**s.vehicle.parameters, **v.parameters} for v in s.vehicles),
+        parameters=tuple(scenarios.parameters_of(s, i) for i in range(len(s.vehicles))),
+        density_ratio=s.vehicle.air_density_ratio,
         ready_us=tuple(None if t is None else round(t * 1e6) for t in ready),
         loose=serving.loose,
         faults=flight.faults_up,
@@ -91,11 +95,11 @@ def settings(flight: Flight, serving: Serving) -> Settings:
         around=flight.world.around,
         weather=flight.world.weather,
         noise=scenarios.noise(flight),
-        biases=Biases(s.sensors.position_bias_m, math.radians(s.sensors.attitude_bias_deg)),
+        biases=_biases(s.sensors),
         grades=_grades(s.sensors),
         batteries=() if battery is None else (Battery(battery.endurance_s, battery.sag),) * len(s.vehicles),
         failures=tuple(_failure(f) for f in s.failures),
-        external=_external(flight, serving.backend),
+        external=_external(flight, serving),
     )
 
 
@@ -109,7 +113,8 @@ def joint_steps(flight: Flight, backend: Backend) -> Steps:
     return steps(flight.physics_us, flight.tick_us, flight.truth_us, flight.control_us, kinds(flight, backend))
 
 
-def _external(flight: Flight, backend: Backend) -> External | None:
+def _external(flight: Flight, serving: Serving) -> External | None:
+    backend = serving.backend
     if backend == "builtin":
         return None
     try:
@@ -122,7 +127,7 @@ def _external(flight: Flight, backend: Backend) -> External | None:
                 f"scenario {flight.scenario.name}: failures: {f.kind!r} is for built-in vehicles; leave it out with "
                 f"--backend {backend}"
             )
-    return External(kinds(flight, backend))
+    return External(kinds(flight, backend), stall_s=serving.stall_s)
 
 
 def server_of(values: Settings, sink: Sink) -> Server | JointServer:
@@ -141,6 +146,12 @@ def _grades(s: SensorsTable) -> Grades | None:
         imu.acceleration_bias_m_s2, imu.rate_bias_rad_s, mag.field_bias_gauss, baro.pressure_bias_hPa,
         gps.position_bias_m, max(4000, round(tick / 4000) * 4000), round(gps.delay_ms * 1000),
     )  # fmt: skip
+
+
+def _biases(s: SensorsTable) -> Biases:
+    roll, pitch, yaw = (math.radians(c) for c in s.attitude_offset_deg)
+    x, y, z = s.position_offset_m
+    return Biases(s.position_bias_m, math.radians(s.attitude_bias_deg), (x, y, z), (roll, pitch, yaw))
 
 
 def _failure(f: FailureTable) -> Failure:
@@ -214,7 +225,7 @@ def _child(values: Settings, status: Connection, truth: Connection) -> None:
     except PhysicsError as error:
         status.send(SimulatorFailure(f"physics: {error} (t = {server.now_us * 1e-6:.2f} s of the vehicles' clock)"))
     except AutopilotError as error:
-        status.send(SimulatorFailure(str(error)))
+        status.send(SimulatorFailure(str(error), error.untested))
     except (BrokenPipeError, EOFError):
         return
     finally:

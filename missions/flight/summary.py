@@ -76,7 +76,8 @@ class Summary(NamedTuple):
     criteria: list[dict[str, Any]] | None = None
     predicted_ticks: int = 0  # answered with a state that was not all measured
     wire: dict[str, int] | None = None  # frames counted on both sides, and what became of them
-    thrust_scale: list[dict[str, float]] | None = None  # of each vehicle: newtons made per newton asked
+    thrust_scale: list[dict[str, float] | None] | None = None  # of each vehicle: newtons made per newton asked
+    state_age_ms: float | None = None  # mean, of the oldest measurement that decisions rested on
     rms_tracking_error_m: float | None = None
     largest_tracking_error_m: float | None = None
     mean_position_error_m: float | None = None  # over the last 10 s
@@ -176,8 +177,10 @@ def summarize(
         vehicles_crashed=None if grounded is None else grounded.vehicles_crashed,
         min_separation_m=None if grounded is None else grounded.smallest_separation_m,
         thrust_scale=[
-            {"scale": round(k.scale, 5), "error": round(k.error, 5)} for k in timing.thrust_scales if k.pairs > 2
+            {"scale": round(k.scale, 5), "error": round(k.error, 5)} if k.pairs > 2 else None
+            for k in timing.thrust_scales
         ],
+        state_age_ms=timing.mean_age_ms,
     )
     found = [c for c in criteria(limits, s) if not (scripted and c.measured is None)]
     found = [c for c in found if not (cut_short and c.name in OF_THE_END)]

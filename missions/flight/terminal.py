@@ -193,9 +193,11 @@ def table(s: Summary) -> None:
     out.add_row("messages sent, lost, late", f"{s.messages_sent}, {s.messages_lost}, {s.messages_late}", "")
     if s.predicted_ticks:
         out.add_row("states partly predicted", str(s.predicted_ticks), "")
+        out.add_row("age of their oldest part", _of(s.state_age_ms, "{:.1f} ms"), "")
     if s.thrust_scale:
-        error = max(k["error"] for k in s.thrust_scale)
-        made = ", ".join(f"{k['scale']:.4f}" for k in s.thrust_scale) + f" +- {error:.0e}"
+        known = [k for k in s.thrust_scale if k is not None]
+        made = ", ".join("-" if k is None else f"{k['scale']:.4f}" for k in s.thrust_scale)
+        made += f" +- {max(k['error'] for k in known):.0e}" if known else " (not known)"
         out.add_row("thrust made / asked", made, "")
     out.add_row("real-time factor", _of(s.real_time_factor, "{:.2f}"), "")
     if s.jitter_us is not None:

@@ -23,6 +23,7 @@ from cablequad.model.state import State
 from cablequad.model.stiffness import STABLE, stable_substep
 from cablequad.model.system import Cable, Payload, Quadrotor, System, box_inertia
 from missions.scenario.course import SETTLE_S, CourseError, course_from, course_of
+from missions.scenario.known import KNOWN
 from missions.scenario.script import ScriptError, read_script, scenario_of, script_from
 from missions.scenario.surroundings import airborne, around, lay_out
 from missions.scenario.tables import FaultTable, OneVehicleTable, Scenario, TargetTable
@@ -67,6 +68,7 @@ class Flight(NamedTuple):
     script_name: str = "mission.py"  # its file's name
 
 
+STATED_DAMPING = 0.9  # of a response whose bandwidth alone is stated
 TICK_US = 4000  # the vehicles speak at 250 Hz, or as often as control asks
 
 
@@ -110,10 +112,12 @@ def load(
     seed: int | None = None,
     firmware: str | None = None,
     script: Path | None = None,
+    external: bool = False,
 ) -> Flight:
     """A flight from a shipped name or a path; what is given replaces what the file says. Raises ScenarioError.
 
-    A script's course replaces [plan], [target] and, where no duration is given, the duration.
+    `external`: its vehicles are not ours, and may have any parameter. A script's course replaces [plan], [target] and,
+    where no duration is given, the duration.
     """
     program: str | None = None
     program_name = name
@@ -137,7 +141,7 @@ def load(
     if changes:
         scenario = scenario.model_copy(update=changes)
     try:
-        flight = flight_of(scenario, source)
+        flight = flight_of(scenario, source, external)
         if program is not None:
             flight = _programmed(flight, program)._replace(script_name=Path(program_name).name)
         elif script is not None:
@@ -174,7 +178,7 @@ def restored(resolved: str, source: str, script: str | None) -> Flight:
     Raises ScenarioError where today's tables do not take it.
     """
     try:
-        flight = flight_of(Scenario.model_validate_json(resolved), source)
+        flight = flight_of(Scenario.model_validate_json(resolved), source, external=True)
         if script is None:
             return flight
         if flight.scenario.mission is not None:
@@ -268,14 +272,93 @@ def system_of(s: Scenario, heavier: float = 1.0) -> System:
     return System.of(payload, quadrotors, chains, s.gravity_m_s2)
 
 
-def flight_of(s: Scenario, source: str) -> Flight:
-    """The flight that a scenario describes. Raises ValueError naming the key that cannot be."""
+def parameters_of(s: Scenario, i: int) -> dict[str, float]:
+    """What the scenario sets of vehicle i's (from 0) parameters, by name."""
+    return {name: float(value) for name, value in {**s.vehicle.parameters, **s.vehicles[i].parameters}.items()}
+
+
+def response(s: Scenario, i: int) -> tuple[float, float]:
+    """Bandwidth (rad/s) and damping of vehicle i's (from 0) attitude response: stated, or as its firmware is known."""
+    v = s.vehicles[i]
+    bandwidth, damping = _of(s, v, "attitude_bandwidth_rad_s"), _of(s, v, "attitude_damping")
+    known = KNOWN[_of(s, v, "firmware")]
+    if bandwidth is None:
+        return known.bandwidth_rad_s, known.damping if damping is None else damping
+    return bandwidth, STATED_DAMPING if damping is None else damping
+
+
+def known_delay_ticks(s: Scenario, firmware: str) -> int:
+    """The delay that a law is designed for: the known one, with as much of the rotors' lag as the scenario's have."""
+    lag = 0.0 if s.vehicle.rotors is None else s.vehicle.rotors.time_constant_s
+    known = KNOWN[firmware]
+    return max(1, round((known.own_delay_s + lag) * s.control.rate_hz))
+
+
+def delays_us(flight: Flight) -> tuple[int, ...]:
+    """From a state to the effect of the setpoint that answers it, for each vehicle, in whole ticks."""
+    s, out = flight.scenario, []
+    for v in s.vehicles:
+        wish = s.vehicle.delay_ms
+        if wish is None and _of(s, v, "attitude_bandwidth_rad_s") is None:
+            wish = 1e3 * KNOWN[_of(s, v, "firmware")].own_delay_s  # its rotors are in the plant
+        ticks = None if wish is None else max(1, round(1e3 * wish / flight.tick_us))
+        out.append(s.control.delay_ticks * flight.control_us if ticks is None else ticks * flight.tick_us)
+    return tuple(out)
+
+
+def phases_us(flight: Flight) -> tuple[int, ...]:
+    """When each vehicle's streams are due beyond whole intervals, in whole ticks."""
+    s, out = flight.scenario, []
+    for v in s.vehicles:
+        wish = s.vehicle.stream_phase_ms
+        if wish is None:
+            unstated = _of(s, v, "attitude_bandwidth_rad_s") is None
+            wish = KNOWN[_of(s, v, "firmware")].phase_ms if unstated else 0.0
+        out.append(round(1e3 * wish / flight.tick_us) * flight.tick_us)
+    return tuple(out)
+
+
+def _as_known(s: Scenario) -> Scenario:
+    """What is left out of vehicles that state no response, by what their firmware is known to do."""
+    unstated = {_of(s, v, "firmware") for v in s.vehicles if _of(s, v, "attitude_bandwidth_rad_s") is None}
+    if not unstated:
+        return s
+    changes: dict[str, Any] = {}
+    if "delay_ticks" not in s.control.model_fields_set:
+        ticks = max(known_delay_ticks(s, kind) for kind in unstated)
+        changes["control"] = s.control.model_copy(update={"delay_ticks": ticks})
+    worst = max((KNOWN[kind] for kind in unstated), key=lambda k: k.bias_deg)
+    errors = {
+        "attitude_bias_deg": worst.bias_deg, "position_offset_m": list(worst.position_offset_m),
+        "attitude_offset_deg": list(worst.attitude_offset_deg),
+    }  # fmt: skip
+    left_out = {key: value for key, value in errors.items() if key not in s.sensors.model_fields_set}
+    if left_out:
+        changes["sensors"] = s.sensors.model_copy(update=left_out)
+    return s.model_copy(update=changes)
+
+
+def _preset(s: Scenario) -> None:
+    """Raise ValueError where a built-in vehicle has no such parameter, or cannot take its value."""
+    tables = {"px4": px4_parameters, "arducopter": arducopter_parameters}
+    for i, v in enumerate(s.vehicles):
+        table = tables[_of(s, v, "firmware")](i + 1, 0.5)
+        for name, value in parameters_of(s, i).items():
+            table.preset(name, value)
+
+
+def flight_of(s: Scenario, source: str, external: bool = False) -> Flight:
+    """The flight that a scenario describes. Raises ValueError naming the key that cannot be.
+
+    `external`: its vehicles are not ours, and may have any parameter.
+    """
+    s = _as_known(s)
     of = partial(_of, s)
     system = system_of(s)
     airframe = Airframe(
-        np.array([of(v, "attitude_bandwidth_rad_s") for v in s.vehicles], dtype=float),
-        np.array([of(v, "attitude_damping") for v in s.vehicles], dtype=float),
-        np.array([of(v, "max_thrust_N") for v in s.vehicles], dtype=float),
+        np.array([response(s, i)[0] for i in range(len(s.vehicles))], dtype=float),
+        np.array([response(s, i)[1] for i in range(len(s.vehicles))], dtype=float),
+        np.array([of(v, "max_thrust_N") for v in s.vehicles], dtype=float) * s.vehicle.air_density_ratio,
     )
     initial = State.hanging(system, (0.0, 0.0, 0.0))._replace(
         x0=np.array(s.initial.position_m),
@@ -292,11 +375,8 @@ def flight_of(s: Scenario, source: str) -> Flight:
     initial = initial.copy()  # arrays of one layout, as compiled code is compiled for each
     control_us = round(1e6 / s.control.rate_hz)
     notes = []
-    presets = {"px4": px4_parameters, "arducopter": arducopter_parameters}
-    for i, v in enumerate(s.vehicles):
-        table = presets[of(v, "firmware")](i + 1, 0.5)
-        for name, value in {**s.vehicle.parameters, **v.parameters}.items():
-            table.preset(name, value)  # raises for what such a vehicle does not have
+    if not external:
+        _preset(s)
     tick_us = TICK_US if control_us % TICK_US == 0 else control_us
     asked_us = round(1e6 / s.physics.rate_hz)
     physics_us = stable_substep(system, asked_us, tick_us)
@@ -311,11 +391,10 @@ def flight_of(s: Scenario, source: str) -> Flight:
         )
     down, up = _faults(s)
     heavier = 1.0 if s.real.payload_mass_kg is None else s.real.payload_mass_kg / s.payload.mass_kg
-    bandwidth = s.real.attitude_bandwidth_rad_s
     scale = s.real.thrust_scale
     world = ActualPlant(
         system_of(s, heavier),
-        airframe if bandwidth is None else airframe._replace(bandwidth=np.full(len(s.vehicles), bandwidth)),
+        _really(airframe, s),
         tuple(scale) if isinstance(scale, list) else (scale,) * len(s.vehicles),
         around(s, system, airframe, [of(v, "drag_area_m2") for v in s.vehicles]),
         None if s.wind is None else Weather(np.array(s.wind.mean_m_s), s.wind.gusts, s.wind.height_m),
@@ -324,6 +403,14 @@ def flight_of(s: Scenario, source: str) -> Flight:
         s, source, system, airframe, world, _trajectory(s, system, initial), initial, control_us, physics_us,
         tick_us, truth_us, notes,        tuple(of(v, "firmware") for v in s.vehicles), up, down,
     )  # fmt: skip
+
+
+def _really(airframe: Airframe, s: Scenario) -> Airframe:
+    """The vehicles that really fly, where [real] says that they answer otherwise than the controller is told."""
+    n, bandwidth, damping = len(s.vehicles), s.real.attitude_bandwidth_rad_s, s.real.attitude_damping
+    if bandwidth is not None:
+        airframe = airframe._replace(bandwidth=np.full(n, bandwidth))
+    return airframe if damping is None else airframe._replace(damping=np.full(n, damping))
 
 
 def _truth_us(s: Scenario, physics_us: int, tick_us: int) -> int:

@@ -83,9 +83,13 @@ class VehicleTable(_Table):
 
     mass_kg: Positive
     inertia_kg_m2: Inertia
-    max_thrust_N: Positive
-    attitude_bandwidth_rad_s: Positive = 40.0
-    attitude_damping: Positive = 0.9
+    max_thrust_N: Positive  # at sea level
+    air_density_ratio: Positive = 1.0  # of where it flies to sea level: rotors give less in thin air
+    identified: bool = False  # the responses here and control.delay_ticks were found by `cablequad identify`
+    attitude_bandwidth_rad_s: Positive | None = None  # left out: as its firmware is known to answer
+    attitude_damping: Positive | None = None  # left out: 0.9, or as the firmware
+    stream_phase_ms: NotNegative | None = None  # of its streams; left out: 0, or as known
+    delay_ms: NotNegative | None = None  # from a state to its setpoint's effect; left out: delay_ticks, or as known
     drag_area_m2: NotNegative = 0.0  # C_d A, in wind
     firmware: Firmware = "px4"
     estimator_ready_s: NotNegative | None = None  # as the firmware takes
@@ -169,6 +173,7 @@ class RealTable(_Table):
     payload_mass_kg: Positive | None = None
     thrust_scale: Positive | Annotated[list[Positive], Field(min_length=1)] = 1.0  # N made per N asked
     attitude_bandwidth_rad_s: Positive | None = None
+    attitude_damping: Positive | None = None
 
 
 class WindTable(_Table):
@@ -252,6 +257,8 @@ class SensorsTable(_Table):
     link_rate_deg_s: NotNegative = 0.0
     position_bias_m: NotNegative = 0.0  # of a vehicle's own position, drawn once
     attitude_bias_deg: NotNegative = 0.0
+    position_offset_m: Vector = [0.0, 0.0, 0.0]  # of what all vehicles report of their own position
+    attitude_offset_deg: Vector = [0.0, 0.0, 0.0]  # of what all take for their attitude, about the body axes
     imu: ImuTable | None = None
     magnetometer: MagnetometerTable | None = None
     barometer: BarometerTable | None = None
@@ -278,6 +285,7 @@ class ControlTable(_Table):
     sensing: Literal["full", "fleet", "vehicles"] = "full"
     rate_hz: Positive = 250.0
     delay_ticks: Annotated[int, Field(ge=1, le=50)] = 1
+    attitude_rate: Annotated[int, Field(ge=1, le=20)] = 1  # attitudes that are asked for a control period
     weights: WeightsTable = WeightsTable()
 
     @model_validator(mode="after")
@@ -415,7 +423,7 @@ class FaultsTable(_Table):
 class LinkTable(_Table):
     """[link]"""
 
-    connect_timeout_s: Positive = 15.0
+    connect_timeout_s: Positive | None = None  # left out: 15 for our vehicles, 120 for those that somebody starts
     answer_timeout_s: Positive = 5.0
 
 

@@ -10,6 +10,7 @@ e = MOT_THST_EXPO. Rotor speed goes with the root of t. So a throttle of F / F_m
 
 import socket
 import struct
+import sys
 from typing import NamedTuple
 
 from bridge.wire.ports import Address, bind
@@ -23,6 +24,8 @@ SIZE = {MAGIC_16: HEADER.size + 2 * 16, MAGIC_32: HEADER.size + 2 * 32}
 HIGHEST_PWM = 2500  # us; 0 is a channel without output
 MOTORS = 4
 EXPO, SPIN_MIN, SPIN_MAX = 0.65, 0.15, 0.95  # ArduCopter's defaults
+CUT_US = 0.5
+IP_RECVERR = 11  # of Linux, for SOL_IP
 
 
 class Servos(NamedTuple):
@@ -53,8 +56,11 @@ def servos(data: bytes) -> Servos:
 
 
 def thrust_share(pwm: int) -> float:
-    """0..1: of its greatest thrust, that a rotor gives at `pwm` us."""
-    c = ((pwm - 1000) / 1000 - SPIN_MIN) / (SPIN_MAX - SPIN_MIN)
+    """0..1: of its greatest thrust, that a rotor gives at `pwm` us.
+
+    SITL cuts what it commands to whole microseconds: half of one is what it cut off in the mean.
+    """
+    c = ((pwm + CUT_US - 1000) / 1000 - SPIN_MIN) / (SPIN_MAX - SPIN_MIN)
     c = min(max(c, 0.0), 1.0)
     return (1.0 - EXPO) * c + EXPO * c * c
 
@@ -86,8 +92,11 @@ class ArduPilotSeat:
         self._address: Address | None = None
         self._waits = False  # for the answer to its newest frame
         self._answer = b""
+        self._refused = False  # something that was sent to it found no port
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
+        if sys.platform == "linux":  # what is refused is told of a socket that is not connected, too
+            self._socket.setsockopt(socket.SOL_IP, IP_RECVERR, 1)
         bind(self._socket, here, "udp")
 
     @property
@@ -113,7 +122,10 @@ class ArduPilotSeat:
         """Whether there was a packet."""
         try:
             data, address = self._socket.recvfrom(2048)
-        except (BlockingIOError, ConnectionRefusedError):
+        except ConnectionRefusedError:
+            self._refused = True
+            return False
+        except BlockingIOError:
             return False
         try:
             packet = servos(data)
@@ -122,6 +134,16 @@ class ArduPilotSeat:
         else:
             self._take(packet, address)
         return True
+
+    def nudge(self) -> None:
+        """An empty datagram, which SITL takes no notice of, is refused where its port is closed (as Linux tells)."""
+        if self._address is None:
+            return
+        self._refused = False
+        self._send(b"")
+        self._hear_one()
+        if self._refused and not self._waits:
+            raise SeatError("no longer runs: its port is closed")
 
     def due(self, now_us: int) -> bool:
         del now_us
@@ -154,9 +176,17 @@ class ArduPilotSeat:
         self.share = (a, b, c, d)
 
     def _reply(self) -> None:
+        if self._send(self._answer):
+            self.tally.answered += 1
+
+    def _send(self, data: bytes) -> bool:
+        """Whether the system took it; what it did not take is asked for again."""
         assert self._address is not None
         try:
-            self._socket.sendto(self._answer, self._address)
-            self.tally.answered += 1
+            self._socket.sendto(data, self._address)
+        except ConnectionRefusedError:  # of what was sent before
+            self._refused = True
+            return False
         except OSError:
-            pass  # it asks again
+            return False
+        return True

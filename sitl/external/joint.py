@@ -35,20 +35,30 @@ START_US = 1_000_000  # of the physics' clock: no firmware is told that it is 0
 GRACE_S = 30.0  # of the physics' clock, for those that are left
 CARRIED_S, STEADY = 0.5, 0.04  # what a vehicle gives must be more than its weight, and change by no more, for so long
 LANDED_US = 200_000
+BOOT_S = 120.0  # wall clock, for autopilots that somebody else starts
+PROBE_S = 0.5  # wall clock, between looks whether one that is silent still runs
+STALL_SAID_S = 3.0  # wall clock, after which a silence is told
 BURST_S = 0.002  # wall clock: that answers of one step are apart, at most, for all to be heard together
 REAL_TIME_S = 0.2  # behind the wall clock that is made up for
 
 
 class AutopilotError(Exception):
-    """An autopilot never came, stopped answering or began anew; the message says which, and since when."""
+    """An autopilot never came, ended or began anew; the message says which, and since when.
+
+    `untested`: it runs and does not answer, which says nothing of the flight.
+    """
+
+    def __init__(self, text: str, untested: bool = False) -> None:
+        super().__init__(text)
+        self.untested = untested
 
 
 class External(NamedTuple):
     """Who flies instead of the built-in vehicles."""
 
     kinds: tuple[str, ...]  # of each vehicle: arducopter or px4
-    connect_s: float = 90.0  # wall clock, for the last to come
-    silent_s: float = 2.5  # wall clock without an answer; SITL asks again after one
+    connect_s: float = BOOT_S  # wall clock, for the last to come
+    stall_s: float = 600.0  # wall clock, that one which runs may leave a question unanswered
 
 
 class Steps(NamedTuple):
@@ -139,7 +149,7 @@ class JointServer:
         """How it went so far."""
         tallies = [seat.tally for seat in self.seats]
         refused = unread_frames(self.link.counters)
-        for word in ("refused", "repeated", "stale"):
+        for word in ("refused", "repeated", "stale", "unanswered"):
             refused[f"physics packets {word}"] = sum(getattr(t, word) for t in tallies)
         sent = sum(self.link.counters.sent_on[:1])
         return Report(self._steps, 0, 0, (), sent, 0, 0, 0, 0, 0, refused, {})
@@ -175,8 +185,12 @@ class JointServer:
         return False
 
     def _gather(self, stop: Callable[[], bool]) -> None:
-        """Until everybody has said what it does now, and the wall clock is no longer behind."""
-        deadline = time.monotonic() + self._external.silent_s
+        """Until everybody has said what it does now, and the wall clock is no longer behind.
+
+        Who runs is waited for: a busy machine stalls. Raises AutopilotError where that takes too long.
+        """
+        begun = time.monotonic()
+        nudged, said = begun, False
         self._hear([seat for seat in self._left(self.seats) if not seat.engaged])
         missing = [seat for seat in self._left(self.seats) if not seat.settled]
         while missing and not stop():
@@ -184,10 +198,30 @@ class JointServer:
             self._wait(BURST_S, missing[-1:])
             self._hear(missing)
             missing = [seat for seat in self._left(missing) if not seat.settled]
-            if missing and time.monotonic() > deadline:
+            now = time.monotonic()
+            if missing and now - nudged > PROBE_S:
+                nudged = now
+                self._nudge(missing)
+            if missing and not said and now - begun > STALL_SAID_S:
+                said = True
                 for seat in missing:
-                    self._lose(seat, f"has not answered since t = {self.now_us * 1e-6:.3f} s")
+                    vehicle = f"vehicle {self.seats.index(seat) + 1}"
+                    self._sink(Event(self.now_us, "stall", vehicle, f"{seat.who} does not answer; it is waited for"))
+            if missing and now - begun > self._external.stall_s:
+                who = ", ".join(seat.who for seat in missing)
+                raise AutopilotError(
+                    f"not tested: {who} has not answered since t = {self.now_us * 1e-6:.3f} s, for "
+                    f"{self._external.stall_s:g} s; it still runs",
+                    untested=True,
+                )
         self._pace(stop)
+
+    def _nudge(self, seats: list[Seat]) -> None:
+        for seat in seats:
+            try:
+                seat.nudge()
+            except SeatError as error:
+                self._lose(seat, str(error))
 
     def _left(self, seats: list[Seat]) -> list[Seat]:
         return [seat for seat in seats if self.seats.index(seat) not in self._gone] if self._gone else seats

@@ -25,6 +25,7 @@ PX4_PORT = 4560  # and 1 more for each instance
 SENSOR_US = 4_000  # IMU_INTEG_RATE 250
 MAG_US, BARO_US, TRUTH_US = 20_000, 20_000, 20_000
 MOTORS = 4
+UNANSWERED = 3  # sensors in a row that may get no answer before it is waited for
 ACCEL_GYRO, MAG, BARO = 0x3F, 0x1C0, 0x1A00  # HIL_SENSOR_UPDATED_FLAGS
 SYSTEM, COMPONENT = 1, 51  # of a simulator
 MAGIC, LONGEST = 0xFD, 280  # of MAVLink 2 frames
@@ -93,6 +94,7 @@ class Px4Seat:
         self._peer: socket.socket | None = None
         self._told_us = self._heard_us = -1
         self._lockstep = False  # it has answered once
+        self._in_a_row = 0  # sensors without an answer
         self._listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         self._listener.setblocking(False)
@@ -129,6 +131,13 @@ class Px4Seat:
             self.tally.refused += refused
             for controls in said:
                 self._take(controls)
+
+    def nudge(self) -> None:
+        """A sensor that got no answer is followed by the next, a few times: then it is waited for."""
+        if self._lockstep and self._in_a_row < UNANSWERED:
+            self._in_a_row += 1
+            self.tally.unanswered += 1
+            self._heard_us = self._told_us
 
     def due(self, now_us: int) -> bool:
         return now_us % SENSOR_US == 0
@@ -177,7 +186,7 @@ class Px4Seat:
         else:
             self.tally.repeated += said.time_us == self._heard_us
             self.tally.taken += 1
-            self._heard_us, self._lockstep = said.time_us, True
+            self._heard_us, self._lockstep, self._in_a_row = said.time_us, True, 0
             a, b, c, d = (thrust_share(control) for control in said.motors)
             self.share = (a, b, c, d)
 

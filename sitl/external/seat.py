@@ -25,6 +25,7 @@ class PacketCounts:
         self.repeated = 0  # the same frame again, answered again and not stepped again
         self.stale = 0  # frames from before
         self.refused = 0  # that made no sense
+        self.unanswered = 0  # states that were followed by the next without an answer
 
 
 class SeatError(Exception):
@@ -55,6 +56,12 @@ class Seat(Protocol):
 
     def hear(self) -> None:
         """Take what has come. Raises SeatError where it went away or began anew."""
+
+    def nudge(self) -> None:
+        """It has left its newest state unanswered for a while: see whether it runs, and get it going again.
+
+        Raises SeatError where it no longer runs.
+        """
 
     def due(self, now_us: int) -> bool:
         """Whether it is to be told the state of this instant."""

@@ -40,7 +40,7 @@ from sitl.firmware.autopilot import (
 from sitl.firmware.navigate import A_IGNORED, FAR_M, V_IGNORED, X_IGNORED, Goal, goal_of
 from sitl.firmware.parameters import arducopter_parameters
 from sitl.firmware.telemetry import BUILD, Snapshot
-from sitl.firmware.transitions import ACCEPTED, CRITICAL, DENIED, FAILED, UNSUPPORTED, WARNING, decide
+from sitl.firmware.transitions import ACCEPTED, CRITICAL, DENIED, FAILED, INFO, UNSUPPORTED, WARNING, decide
 
 M = mavlink
 THRUST_NOT_CLIMB = 8  # GUID_OPTIONS
@@ -48,6 +48,7 @@ FORCED = (2989.0, 21196.0)
 READY_US = 30_000_000  # the estimator takes GPS in half a minute after boot
 UNIT = 1e-3  # |q.q - 1| of a quaternion that is taken
 MAX_BOOST = 10.0
+NOT_ITS = frozenset({M.MAVLINK_MSG_ID_ALTITUDE, M.MAVLINK_MSG_ID_ODOMETRY})  # messages that it does not have
 FASTEST_US = 3000  # of a message at the 400 Hz loop
 TIMESYNC_HZ = 0.1
 
@@ -96,7 +97,7 @@ class ArduCopter(Autopilot):
     def __init__(
         self, system_id: int, tick_us: int, links: tuple[LinkKind, ...], body: Body, ready_us: int = READY_US
     ) -> None:
-        hover = min(1.0, body.mass_kg * body.g / body.max_thrust_N)
+        hover = min(1.0, body.density_ratio * body.mass_kg * body.g / body.max_thrust_N)
         parameters = arducopter_parameters(system_id, hover)
         super().__init__(system_id, tick_us, links, body, parameters, DEFAULT_HZ, ready_us)
         self.mode = CopterMode.STABILIZE
@@ -224,7 +225,10 @@ class ArduCopter(Autopilot):
                 return [self._request(link, c.command, number[0], FAILED)]
 
     def _set_interval(self, link: int, msgid: int, interval_us: float, p3: float) -> int:
-        if msgid not in BUILD or not -1 <= interval_us <= MOST_INTERVAL_US or p3 not in (0.0,):
+        if msgid not in BUILD or msgid in NOT_ITS:
+            self._text(INFO, f"No ap_message for mavlink id ({msgid})")
+            return DENIED
+        if not -1 <= interval_us <= MOST_INTERVAL_US or p3 not in (0.0,):
             return DENIED
         if 0 < interval_us < FASTEST_US:
             self._text(WARNING, f"Interval of message {msgid} below {FASTEST_US / 1000:g} ms refused")
@@ -415,7 +419,7 @@ class ArduCopter(Autopilot):
         boost = 1.0
         if self.parameters["ATC_ANGLE_BOOST"]:
             boost = min(1.0 / max(float(R_c[2, 2]), 1.0 / MAX_BOOST), MAX_BOOST)
-        fraction = min(max(asked * boost, 0.0), 1.0)
+        fraction = min(max(asked * boost / self.body.density_ratio, 0.0), 1.0)  # it makes up for thin air
         return math.sqrt(fraction), asked
 
     def _climb_rate(self) -> float:

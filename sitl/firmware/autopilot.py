@@ -78,8 +78,9 @@ class Body(NamedTuple):
     """What an autopilot was set up with for its airframe."""
 
     mass_kg: float
-    max_thrust_N: float
+    max_thrust_N: float  # where it flies
     g: float
+    density_ratio: float = 1.0  # of the air there to that at sea level
 
 
 class Actuation(NamedTuple):

@@ -3,14 +3,21 @@
     python autopilot.py ardupilot --instance 0 --physics 9002 --mavlink 14540
     python autopilot.py px4 --instance 1 --physics 4561 --mavlink 14541
 
-It has a clock, an estimator, attitude and rate loops, a mixer, modes, arming and the parameters that a ground station
-asks for. As ArduPilot it is told its motion and only integrates time; as PX4 it makes its attitude from gyroscope,
-accelerometer and magnetometer, and its position from GPS and accelerometer.
+It has a clock, an estimator, attitude and rate loops, a mixer, modes, arming and the parameters that the real one has.
+As ArduPilot it is told its motion and only integrates time; as PX4 it makes its attitude from gyroscope, accelerometer
+and magnetometer, and its position from GPS and accelerometer.
+
+It is as odd as flights with the real ones showed them to be (tests/test_flown.py compares them): ArduPilot reads its
+defaults file, does not arm with an accelerometer calibrated that is not there, divides thrust by the air's density, cuts
+PWM to whole microseconds, streams at 3 ms of 20, and refuses messages that it does not have. PX4 needs its start
+scripts, streams at 8 ms of 20, and leaves a HIL_SENSOR unanswered now and then. Both pause, and answer an attitude
+setpoint late.
 """
 
 import argparse
 import json
 import math
+import pathlib
 import socket
 import struct
 import sys
@@ -22,7 +29,14 @@ G = 9.81
 ARM, DRAG = 0.17, 0.02  # m
 SIDE = ((1, 1), (-1, -1), (1, -1), (-1, 1))  # forward, right: front right, rear left, front left, rear right
 TURN = (1, 1, -1, -1)  # of their drag on the body: the first two turn counter-clockwise
-ANGLE_P, RATE_P = 5.5, 18.0  # 1/s: together a response of 10 rad/s, damping 0.9
+RESPONSE = {False: (12.9, 0.85, 0.014), True: (10.2, 1.07, 0.004)}  # rad/s, damping, s until a setpoint acts; by px4
+PHASE_US = {False: 3_000, True: 8_000}  # of streams, modulo 20 ms
+DENSITY = (1 - 2.25577e-5 * 488.0) ** 4.25588  # at the default home, to that at sea level
+IMUS = 2  # that SITL has
+UNANSWERED, PAUSE = 2_000, 1_700  # frames between such moments
+BOOT = ("Calibrating barometer", "Barometer 1 calibration complete", "Barometer 2 calibration complete",
+        "ArduPilot Ready", "AHRS: DCM active")  # fmt: skip
+HERE = pathlib.Path(__file__).parent
 FIELD = (0.2158, 0.0121, 0.4335)  # gauss, NED
 
 
@@ -70,6 +84,7 @@ class Filter(Estimate):
         super().__init__()
         self.bias = [0.0, 0.0, 0.0]
         self.a = (0.0, 0.0, 0.0)  # from GPS, NED
+        self.still = True  # disarmed, on the ground
         self.last_v = None
         self.fixes = 0
 
@@ -92,9 +107,10 @@ class Filter(Estimate):
         off = (seen[0] * FIELD[1] - seen[1] * FIELD[0]) / (FIELD[0] ** 2 + FIELD[1] ** 2)
         turn = rotate(conj(self.q), (0.0, 0.0, off))
         error = [a + b for a, b in zip(tilt, turn)]
-        self.bias = [b - 0.05 * e * dt for b, e in zip(self.bias, error)]
+        trust, learn = (0.5, 0.5) if self.still else (0.04, 0.002)  # what accelerometer and field say, once it flies
+        self.bias = [b - learn * e * dt for b, e in zip(self.bias, error)]
         self.w = tuple(w - b for w, b in zip(gyro, self.bias))
-        step = [0.5 * dt * (w + 0.5 * e) for w, e in zip(self.w, error)]
+        step = [0.5 * dt * (w + trust * e) for w, e in zip(self.w, error)]
         self.q = unit(mul(self.q, (1.0, *step)))
         self.f = acc
         f = rotate(self.q, acc)
@@ -141,9 +157,44 @@ class Copter:
         self.hold = None
         self.sum = [0.0, 0.0, 0.0]
         self.landed, self.quiet_us = True, 0
-        self.parameters = {"THR_MDL_FAC": 0.0} if px4 else {"GUID_OPTIONS": 0.0, "ATC_ANGLE_BOOST": 1.0}
+        names = (HERE / ("px4-parameters.txt" if px4 else "arducopter-parameters.txt")).read_text().split("\n")
+        self.kinds = {line.split()[0]: line.endswith("int32_t") for line in names if line}
+        self.parameters = dict.fromkeys(self.kinds, 0.0)
+        self.parameters |= {"THR_MDL_FAC": 0.0} if px4 else {"GUID_OPTIONS": 0.0, "ATC_ANGLE_BOOST": 1.0}
+        if options.defaults is None:
+            self.calibrate()
+        else:
+            self.load(options.defaults)
+        w, z, self.delay_s = RESPONSE[px4]
+        w, z = options.bandwidth or w, options.damping or z
+        self.delay_s = self.delay_s if options.delay is None else options.delay
+        self.angle_p, self.rate_p = w / (2 * z), 2 * z * w
+        self.coming = []  # setpoints that do not act yet
+        self.booted = False
         self.share = 0.0
         self.answered = 0
+
+    # -- parameters ---------------------------------------------------------------------------------------------------
+
+    def calibrate(self):
+        """As one that somebody calibrated."""
+        for k in ("", "2"):
+            self.parameters |= {f"INS_ACC{k}OFFS_X": 0.001, f"INS_ACC{k}SCAL_X": 1.001, f"COMPASS_OFS{k}_X": 5.0}
+
+    def load(self, path):
+        """A file of defaults, or of PX4's PX4_PARAM_ variables: what it does not know it tells on its terminal."""
+        for line in pathlib.Path(path).read_text().splitlines():
+            name, value = line.split()
+            if name in self.parameters:
+                self.parameters[name] = float(value)
+            else:
+                print("Ignored unknown param", name, flush=True)
+
+    @property
+    def calibrated(self):
+        """No accelerometer that is there may be without a calibration, none that is not may have one."""
+        done = [self.parameters[f"INS_ACC{k}OFFS_X"] != 0.0 for k in ("", "2", "3")]
+        return done == [k < IMUS for k in range(3)]
 
     # -- MAVLink ------------------------------------------------------------------------------------------------------
 
@@ -151,8 +202,8 @@ class Copter:
         self.socket.sendto(message.pack(self.out), self.peer)
         self.out.seq = (self.out.seq + 1) % 256
 
-    def text(self, words):
-        self.say(mav.MAVLink_statustext_message(4, words.encode()))
+    def text(self, words, severity=2):
+        self.say(mav.MAVLink_statustext_message(severity, words.encode()))
 
     def hear(self):
         while True:
@@ -167,7 +218,8 @@ class Copter:
         kind = m.get_type()
         if kind == "SET_ATTITUDE_TARGET" and m.target_system == self.system:
             if m.type_mask == 7 and abs(sum(c * c for c in m.q) - 1) < 1e-3:
-                self.target, self.target_us = (tuple(m.q), m.thrust), self.us
+                self.coming.append((self.us + self.delay_s * 1e6, (tuple(m.q), m.thrust)))
+                self.target_us = self.us
         elif kind == "TIMESYNC" and m.tc1 == 0:
             self.say(mav.MAVLink_timesync_message(self.us * 1000, m.ts1))
         elif kind == "COMMAND_LONG" and m.target_system == self.system:
@@ -178,21 +230,29 @@ class Copter:
         elif kind == "PARAM_REQUEST_READ" and m.target_system == self.system:
             self.tell(m.param_id)
         elif kind == "PARAM_SET" and m.target_system == self.system and m.param_id in self.parameters:
-            self.parameters[m.param_id] = m.param_value
+            whole = self.px4 and self.kinds[m.param_id]
+            self.parameters[m.param_id] = bits(m.param_value) if whole else m.param_value
             self.tell(m.param_id)
 
     def tell(self, name):
         if name in self.parameters:
-            value = self.parameters[name]
-            self.say(mav.MAVLink_param_value_message(name.encode(), value, 9, len(self.parameters), 0))
+            value, kind = self.parameters[name], 9
+            if self.px4 and self.kinds[name]:
+                value, kind = struct.unpack("<f", struct.pack("<i", int(value)))[0], 6
+            self.say(mav.MAVLink_param_value_message(name.encode(), value, kind, len(self.parameters), 0))
 
     def obey(self, command, a, b, c):
         if command == 511:
             number = int(a)
-            if number not in STREAMS:
+            if number not in (PX4_HAS if self.px4 else COPTER_HAS):
+                if not self.px4:
+                    self.text(f"No ap_message for mavlink id ({number})", 6)
                 return [4 if self.px4 else 2]
+            if number not in STREAMS:
+                return [0]
             if b > 0:
-                self.every[number], self.next[number] = int(b), self.us
+                phase = PHASE_US[self.px4] % int(b)
+                self.every[number], self.next[number] = int(b), self.us // int(b) * int(b) + phase
             else:
                 self.every.pop(number, None)
             return [0]
@@ -204,6 +264,9 @@ class Copter:
             self.mode, self.hold, self.sum = wish, None, [0.0, 0.0, 0.0]
             return [0, 0] if self.px4 else [0]
         if command == 400:
+            if a == 1 and not self.px4 and not self.calibrated:
+                self.text("Arm: 3D Accel calibration needed")
+                return [4]
             if a == 1 and not self.ready:
                 self.text("Arm: Need Position Estimate")
                 return [1 if self.px4 else 4]
@@ -223,7 +286,7 @@ class Copter:
     def stream(self):
         for number, every in list(self.every.items()):
             if self.us >= self.next[number]:
-                self.next[number] = max(self.next[number] + every, self.us - every)
+                self.next[number] += every * max(1, math.ceil((self.us - self.next[number] - every) / every))
                 STREAMS[number](self)
 
     def heartbeat(self):
@@ -258,6 +321,12 @@ class Copter:
 
     def control(self, dt):
         """Shares of the greatest thrust of the four rotors."""
+        while self.coming and self.coming[0][0] <= self.us:
+            self.target = self.coming.pop(0)[1]
+        if not self.px4 and not self.booted:
+            self.booted = True
+            for words in BOOT:
+                self.text(words, 6)
         if not self.armed:
             self.share = 0.0
             self.note(dt)
@@ -272,6 +341,7 @@ class Copter:
                 share = min(max(thrust, 0.0), 1.0) * (
                     min(1 / max(up, 0.1), 10.0) if self.parameters["ATC_ANGLE_BOOST"] else 1
                 )
+                share /= DENSITY
         else:
             q, share = self.by_itself(dt)
         self.share = min(share, 1.0)
@@ -279,9 +349,9 @@ class Copter:
         e = mul(conj(self.e.q), q)
         sign = 2.0 if e[0] >= 0 else -2.0
         J = self.o.inertia
-        rates = [max(-4.0, min(4.0, ANGLE_P * sign * c)) for c in e[1:]]
-        torque = [J[k] * RATE_P * (rates[k] - self.e.w[k]) for k in range(3)]
-        lever, most = ARM / math.sqrt(2), self.o.max_thrust / 4
+        rates = [max(-4.0, min(4.0, self.angle_p * sign * c)) for c in e[1:]]
+        torque = [J[k] * self.rate_p * (rates[k] - self.e.w[k]) for k in range(3)]
+        lever, most = ARM / math.sqrt(2), DENSITY * self.o.max_thrust / 4
         tilt = [(f * torque[1] - r * torque[0]) / (4 * lever * most) for f, r in SIDE]
         turn = [t * torque[2] / (4 * DRAG * most) for t in TURN]
         room = max(0.0, min(self.share, 1 - self.share))
@@ -303,17 +373,24 @@ class Copter:
         n = math.sqrt(sum(c * c for c in f))
         z = [-c / n for c in f]  # body down
         q = unit((1 + z[2], -z[1], z[0], 0.0))
-        return q, self.o.mass * n / self.o.max_thrust
+        return q, self.o.mass * n / (DENSITY * self.o.max_thrust)
 
     def note(self, dt):
         """Whether it stands: little thrust for a while."""
-        low = self.share * self.o.max_thrust < 0.6 * self.o.mass * G
+        low = self.share * DENSITY * self.o.max_thrust < 0.6 * self.o.mass * G
         self.quiet_us = self.quiet_us + dt * 1e6 if low else 0
         self.landed = self.quiet_us > 300_000 or (self.landed and low)
         if self.landed and self.armed and self.mode in ((4 << 16 | 6 << 24), 9) and self.quiet_us > 1_000_000:
             self.armed = False
 
 
+def bits(value):
+    """The integer whose bits stand in a float."""
+    return float(struct.unpack("<i", struct.pack("<f", value))[0])
+
+
+COPTER_HAS = {0, 1, 24, 27, 30, 31, 32, 33, 36, 49, 74, 83, 85, 105, 147, 242, 245}
+PX4_HAS = COPTER_HAS - {0} | {141, 331}
 STREAMS = {
     0: Copter.heartbeat, 31: Copter.attitude, 32: Copter.position, 49: Copter.origin, 105: Copter.imu,
     245: Copter.landed_state, 36: Copter.servos, 1: Copter.battery,
@@ -358,7 +435,7 @@ def ardupilot(o):
         if copter.armed:
             for k, s in enumerate(shares):
                 c = (-0.35 + math.sqrt(0.35**2 + 4 * 0.65 * s)) / (2 * 0.65)
-                pwm[k] = round(1000 + 1000 * (0.15 + 0.8 * c))
+                pwm[k] = int(1000 + 1000 * (0.15 + 0.8 * c))
         copter.pwm = pwm[:4]
         packet = struct.pack("<HHI16H", 18458, 1000, frame, *pwm)
         if o.hostile and frame % 50 == 7:
@@ -377,6 +454,8 @@ def ardupilot(o):
         except (TimeoutError, ConnectionRefusedError):
             if start is None:
                 time.sleep(0.1)
+            continue
+        if not data:
             continue
         begun = time.monotonic()
         if not (data.startswith(b"\n") and data.endswith(b"\n")) or b": " in data:
@@ -399,6 +478,8 @@ def ardupilot(o):
         e.x = tuple(a - b for a, b in zip(m["position"], place))
         if first or dt > 0:  # an answer that was answered before says the same time again
             frame += 1
+            if frame % PAUSE == PAUSE - 1:
+                time.sleep(0.05 + 0.1 * (frame // PAUSE % 2))
             copter.us = round((t - boot + o.boot) * 1e6)
             copter.hear()
             shares = copter.control(dt)
@@ -414,6 +495,10 @@ def ardupilot(o):
 
 
 def px4(o):
+    if o.etc is not None and not (
+        pathlib.Path(o.etc).is_absolute() and (pathlib.Path(o.etc) / "init.d-posix/rcS").exists()
+    ):
+        sys.exit(f"ERROR: no start script at {o.etc}/init.d-posix/rcS")
     copter = Copter(o, True)
     copter.pwm = [0] * 4
     deadline = time.monotonic() + 120
@@ -446,6 +531,7 @@ def px4(o):
             dt = (m.time_usec - copter.us) * 1e-6 if copter.us else 0.004
             copter.us = m.time_usec
             sensors += 1
+            copter.e.still = not copter.armed
             copter.e.imu(m, dt)
             copter.hear()
             shares = copter.control(dt)
@@ -453,6 +539,10 @@ def px4(o):
             if o.die_at and m.time_usec > o.die_at * 1e6:
                 return
             if sensors < 20:  # nothing comes before the allocator runs
+                continue
+            if sensors % PAUSE == PAUSE - 1:
+                time.sleep(0.05 + 0.1 * (sensors // PAUSE % 2))
+            if sensors % UNANSWERED == UNANSWERED - 1:
                 continue
             controls = [math.sqrt(s) for s in shares] + [0.0] * 12
             copter.pwm = [round(1000 + 1000 * c) for c in controls[:4]]
@@ -481,6 +571,11 @@ def main():
     p.add_argument("--mass", type=float, default=0.755)
     p.add_argument("--max-thrust", type=float, default=25.0)
     p.add_argument("--inertia", type=float, nargs=3, default=(0.557e-2, 0.557e-2, 1.05e-2))
+    p.add_argument("--defaults", help="a file of parameters; without it, it has been set up")
+    p.add_argument("--etc", help="PX4's folder of start scripts")
+    p.add_argument("--bandwidth", type=float, default=0.0)
+    p.add_argument("--damping", type=float, default=0.0)
+    p.add_argument("--delay", type=float)
     p.add_argument("--die-at", type=float, default=0.0)
     p.add_argument("--restart-at", type=float, default=0.0)
     p.add_argument("--capture")
