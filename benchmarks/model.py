@@ -35,7 +35,7 @@ from cablequad.model.dynamics import (
     energy,
     kinetic_energy,
 )
-from cablequad.model.integrate import RotorOutput, Scratch, _finish, _stage, advance, scratch
+from cablequad.model.integrate import RotorOutput, Scratch, advance, finish, scratch, stage
 from cablequad.model.state import State, positions
 from cablequad.model.system import Cable, Payload, Quadrotor, System
 from missions.analysis.batch import spread
@@ -72,13 +72,13 @@ def _loop_up(system: System, state: State, w: Scratch, k: int) -> None:
 @jit
 def _loop_stage(system: System, state: State, w: Scratch, k: int) -> None:
     for _ in range(k):
-        _stage(system, state, w.stage, w, 1e-9, 1e-9)
+        stage(system, state, w.stage, w, 1e-9, 1e-9)
 
 
 @jit
 def _loop_finish(system: System, state: State, w: Scratch, k: int) -> None:
     for _ in range(k):
-        _finish(system, state, w)
+        finish(system, state, w)
 
 
 def ring(n: int, links: int) -> System:
