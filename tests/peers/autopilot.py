@@ -107,7 +107,7 @@ class Filter(Estimate):
         off = (seen[0] * FIELD[1] - seen[1] * FIELD[0]) / (FIELD[0] ** 2 + FIELD[1] ** 2)
         turn = rotate(conj(self.q), (0.0, 0.0, off))
         error = [a + b for a, b in zip(tilt, turn)]
-        trust, learn = (0.5, 0.5) if self.still else (0.04, 0.002)  # what accelerometer and field say, once it flies
+        trust, learn = (0.5, 0.5) if self.still else (0.1, 0.005)  # what accelerometer and field say, once it flies
         self.bias = [b - learn * e * dt for b, e in zip(self.bias, error)]
         self.w = tuple(w - b for w, b in zip(gyro, self.bias))
         step = [0.5 * dt * (w + trust * e) for w, e in zip(self.w, error)]
