@@ -109,7 +109,7 @@ def test_one_and_two_fly_as_their_scenarios_are_shipped(
 
 
 def test_a_parameter_of_the_firmware_itself_is_set(backend: tuple[str, str], tmp_path: Path) -> None:
-    name = {"px4": "COM_DISARM_LAND", "ardupilot": "LAND_SPD_MS"}[backend[0]]
+    name = {"px4": "COM_DISARM_LAND", "ardupilot": "LAND_REPOSITION"}[backend[0]]
     file = tmp_path / "own.toml"
     file.write_text(scenarios.text("paper-case-1-50hz") + f"\n[vehicle.parameters]\n{name} = 1.0\nNO_SUCH_ONE = 1.0\n")
     s = flown("fly", str(file), backend, tmp_path)
