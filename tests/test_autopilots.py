@@ -546,6 +546,9 @@ def test_four_autopilots_carry_case_1_from_a_held_start(kinds: str, tmp_path: Pa
     s = flies("paper-case-1-50hz", kinds, tmp_path)
     assert s["exit_code"] == 0, s["reason"]
     assert s["final_position_error_m"] < 0.01  # measured 0.0000 and 0.0031
+    for scale in s["thrust_scale"]:
+        assert scale["scale"] == pytest.approx(1.0, abs=0.005)  # measured 0.9987 to 1.0002
+    assert s["state_age_ms"] < 5.0  # measured 2.0 and 0.0, of attitudes at four times the control rate
     run = read(Path(s["log"]))
     told = {e.subject: e.text for e in run.events if e.kind == "clock"}
     for i in range(4):

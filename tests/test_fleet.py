@@ -10,12 +10,16 @@ from bridge.fleet.profiles import PROFILES
 from bridge.fleet.thrust import ThrustScale, made_thrust_N
 from bridge.fleet.vehicle import Request, Stage
 from bridge.loop.state_assembly import LoopModel, StateAssembler
+from bridge.loop.thrust_comparison import ThrustComparison
 from bridge.loop.tick_barrier import TickBarrier
+from bridge.mission.fault_detection import FaultDetector
+from bridge.mission.observation import Observation
 from bridge.wire.values import (
     CableShape,
     Command,
     CommandAck,
     Heartbeat,
+    Imu,
     LandedState,
     ParamRequestRead,
     ParamSet,
@@ -26,8 +30,10 @@ from bridge.wire.values import (
     VehicleAttitude,
     VehiclePosition,
 )
+from cablequad.control.estimator import estimator
 from cablequad.model import lie
 from cablequad.model.attitude import Airframe, Setpoint, flown
+from cablequad.model.noise import Noise
 from cablequad.model.state import State, positions
 from cablequad.model.system import System
 
@@ -439,3 +445,75 @@ class TestGate:
         gate.feed(200, VehicleAttitude.of(4, np.eye(3), np.zeros(3)))
         self.say(gate, 4, (1,))
         assert gate.open() is None
+
+
+def test_vehicles_alone_whose_streams_have_phases_of_their_own_are_put_together_all_the_same() -> None:
+    """Nothing is ever said of one instant by all of them, and no tracker is listened to."""
+    filter = estimator(SYSTEM, AIRFRAME, 0.02, "vehicles", Noise(0.01, 0.02, 0.002, 0.01)).filter
+    assembler = StateAssembler(LoopModel(SYSTEM, AIRFRAME, 20, 20, 0.001, filter, "vehicles"))
+    s = State.hanging(SYSTEM, (0.3, -0.2, -1.0))
+    x = positions(SYSTEM, s)[:, 0]
+    for tick in range(0, 60, 20):
+        for i in range(4):
+            assembler.feed(i + 1, VehicleAttitude.of(tick + 3 * i, s.R[i], s.Omega[i]))
+            assembler.feed(i + 1, VehiclePosition(tick + 3 * i, x[i], np.zeros(3)))
+    instant = assembler.estimate(60)
+    assert instant is not None
+    assert instant.state.x0 == pytest.approx(s.x0, abs=1e-3)
+    assert instant.age_ms == 20  # the first of them spoke last at 40 ms
+
+
+class Remembered:
+    """What an assembler knows: a tension that rises by 1 N in a tick of 20 ms, and one setpoint."""
+
+    def known(self, boot_ms: int) -> tuple[State, np.ndarray] | None:
+        return (State.hanging(SYSTEM), np.full(4, boot_ms / 20)) if boot_ms % 20 == 0 else None
+
+    def acting(self, _: int) -> tuple[np.ndarray, np.ndarray]:
+        return np.tile(np.eye(3), (4, 1, 1)), np.full(4, 9.0)
+
+
+def imu(boot_us: int, made_N: float) -> Imu:
+    """What vehicle 1 feels at an instant under a thrust of `made_N`, and its cable."""
+    links = float(SYSTEM.m_link[0, :4].sum())
+    pull = boot_us / 20_000 + links * SYSTEM.g
+    return Imu(boot_us, np.array([0.0, 0.0, (pull - made_N) / float(SYSTEM.m[0])]))
+
+
+@pytest.mark.parametrize("phase_us", [0, 3_000, 8_000, 19_000])
+def test_thrust_is_compared_at_accelerometers_of_any_phase(phase_us: int) -> None:
+    comparison = ThrustComparison(LoopModel(SYSTEM, AIRFRAME, 20, 20, 0.001), 4)
+    known: Any = Remembered()
+    for tick in range(20_000, 400_000, 20_000):
+        comparison.take(0, imu(tick + phase_us, 9.0 * 1.02))
+        comparison.settle(tick, known, True)
+    assert comparison.scales[0].pairs >= 17
+    assert comparison.scales[0].scale == pytest.approx(1.02, abs=1e-9)
+    assert comparison.scales[1].pairs == 0
+
+
+def test_an_accelerometer_from_far_ahead_is_not_waited_for() -> None:
+    comparison = ThrustComparison(LoopModel(SYSTEM, AIRFRAME, 20, 20, 0.001), 4)
+    known: Any = Remembered()
+    for _ in range(1000):
+        comparison.take(0, imu(2**40, 9.0))
+    comparison.settle(20_000, known, True)
+    assert not comparison._waiting
+
+
+@pytest.mark.parametrize(("taut", "after_s"), [(True, 0.08), (False, 1.5)])
+def test_who_seems_to_be_off_its_cable_must_seem_so_for_longer_while_a_load_topples(taut: bool, after_s: float) -> None:
+    """A load that lost one of its vehicles turned over, and another was given up 0.1 s after its cable seemed off."""
+    s = State.hanging(SYSTEM)
+    x = positions(SYSTEM, s)[:, 0].copy()
+    x[2, 2] -= 0.4  # further than its cable is long
+    seen = Observation(s, np.full(4, 1.0), 0.0, x, np.zeros((4, 3)), np.zeros(4))
+    ends, lengths = s.x0 + SYSTEM.rho @ s.R0.T, SYSTEM.length.sum(axis=1)
+    detector, lost_at = FaultDetector(), None
+    for k in range(200):
+        loss = detector.look(0.02 * k, [0, 1, 2, 3], seen, ends, lengths, None, taut, {}, set())
+        if loss is not None:
+            assert loss.member == 2
+            lost_at = 0.02 * k
+            break
+    assert lost_at == pytest.approx(after_s, abs=0.021)

@@ -15,7 +15,6 @@ from conftest import cablequad
 
 from bridge.wire.messages import decode
 from bridge.wire.values import CommandAck, Heartbeat, Imu, StatusText, VehicleAttitude
-from logs.reading.reader import read
 from logs.reading.records import entries
 from logs.schema import cablequad_pb2 as pb
 from missions.analysis.identify import identified
@@ -97,17 +96,17 @@ def test_how_they_answer_is_what_is_known_of_them_and_what_the_stand_ins_are_set
 
 
 @pytest.mark.parametrize("firmware", FIRMWARE)
-def test_accelerometers_are_never_on_a_tick_and_thrust_is_found_all_the_same(firmware: str) -> None:
-    """What is compared is interpolated between ticks; the recorder of these flights found no pair."""
-    stamps = {v.boot_us // 1000 % 20 for v in said(f"{firmware}-case-1/run.mcap", 4) if isinstance(v, Imu)}
-    assert 0 not in stamps or firmware == "px4"
-    assert read(FLOWN / f"{firmware}-case-1" / "run.mcap").metadata
+def test_accelerometers_are_not_on_ticks(firmware: str) -> None:
+    """So that what they say is compared with what was known of the ticks around it."""
+    stamps = Counter(v.boot_us // 1000 % 20 for v in said(f"{firmware}-case-1/run.mcap", 4) if isinstance(v, Imu))
+    assert stamps[0] < 0.02 * stamps.total()
 
 
 @pytest.mark.parametrize("name", ["arducopter-case-1", "px4-case-1", "arducopter-ground-to-ground"])
 def test_todays_controller_takes_every_recorded_measurement(name: str) -> None:
     """What it would decide; where it first differs is told with the reason."""
-    code, out, err = cablequad("log", "replay-control", str(FLOWN / name / "run.mcap"), "--json")
-    assert code in (0, 1), err
+    _, out, err = cablequad("log", "replay-control", str(FLOWN / name / "run.mcap"), "--json")
     told = json.loads(out)
-    assert told["decisions"] > 700
+    assert told["decisions"] > 700, err
+    first = told["first"]
+    assert first is None or (first["field"] and first["t_s"] >= 0.0)

@@ -1,5 +1,6 @@
 """Ground under a load: what contact does to energy, where things come to rest, and what is left of a cable that is cut."""
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -142,6 +143,28 @@ def test_friction_holds_what_slides_and_stops_it() -> None:
     for _ in range(3000):
         advance_on(system, s, still, H, g, no_external_forces(system), work)
     assert np.abs(s.v0).max() < 0.01
+
+
+@pytest.mark.parametrize(("share", "slides"), [(0.25, False), (0.8, False), (3.0, True)])
+def test_what_stands_holds_against_a_steady_push_and_does_not_creep(share: float, slides: bool) -> None:
+    """Of mu times the load's own weight. Measured over three seconds: below 1e-6 m where it holds."""
+    system = System.paper(1)
+    s = State.hanging(system, (0.0, 0.0, -0.101)).copy()
+    for i in range(4):
+        s.q[i] = lie.exp(np.array([1.3, 0.0, 0.7 * i])) @ np.array([0.0, 0.0, 1.0])
+    g, still, work = floor(system), RotorOutput(np.zeros(4), np.zeros((4, 3))), scratch(system, s)
+    push = no_external_forces(system)
+    push.on_payload[0] = share * g.friction * system.m0 * system.g
+    places = [s.x0.copy()]
+    for seconds in (4, 3):
+        for _ in range(1000 * seconds):
+            advance_on(system, s, still, H, g, push, work)
+        places.append(s.x0.copy())
+    slid, crept = (float(np.linalg.norm((b - a)[:2])) for a, b in pairwise(places))
+    if slides:  # until its cables are taut against vehicles that stand
+        assert slid > 0.05
+    else:
+        assert crept < 1e-4
 
 
 def test_what_is_left_of_a_system_weighs_what_is_left() -> None:

@@ -8,10 +8,11 @@ from typing import NamedTuple, Protocol
 from bridge.fleet.fleet import COMPONENT, SYSTEM, TRACKER, Fleet
 from bridge.fleet.setpoint_batch import Setpoints, WireError
 from bridge.fleet.sources import Sources
-from bridge.fleet.thrust import ThrustScale, made_thrust_N
+from bridge.fleet.thrust import ThrustScale
 from bridge.fleet.vehicle import Request
 from bridge.loop.deciders import Decider
 from bridge.loop.state_assembly import Instant, LoopModel
+from bridge.loop.thrust_comparison import ThrustComparison
 from bridge.loop.tick_barrier import CLOSING, TickBarrier
 from bridge.loop.time_sync import ClockOffset, TimeSync
 from bridge.wire.link import Address, Link, Mishandled, Received
@@ -108,10 +109,7 @@ class _Flight:
         self.started: float | None = None
         self.ticks = self.missed = self.predicted = self.ages_ms = self.aged = 0
         self.intervals = array("f")  # a long flight has millions
-        self.scales = [ThrustScale()] * fleet.n
-        n_links, inv_node = loop.system.n_links.tolist(), loop.system.inv_node
-        self.hanging_N = [float((1.0 / inv_node[i, 1:k]).sum()) * loop.system.g for i, k in enumerate(n_links)]
-        self.accelerations: list[tuple[int, Imu]] = []  # accelerations not yet compared with what was asked
+        self.thrust = ThrustComparison(loop, fleet.n)
         self.released = False
         self.offsets: list[ClockOffset] = []  # not yet told
 
@@ -250,7 +248,7 @@ class _Flight:
             value = self.relation.mapped(system, value)
             self.decider.feed(system, value)
             if kind is Imu and value is not None and self.fleet.flying and system <= self.fleet.n:
-                self.accelerations.append((system - 1, value))
+                self.thrust.take(system - 1, value)
 
     def record_heard(self) -> None:
         """What came in stands in the log before anything that it led to."""
@@ -270,39 +268,6 @@ class _Flight:
         self.link.put(frame.port, SYSTEM, COMPONENT, ack, frame.address)
         self.link.flush()
 
-    def _compare_thrust(self, i: int, imu: Imu) -> None:
-        """What vehicle i's rotors give against what was asked: the accelerometer, less the pull of its cable."""
-        if not self.decider.carrying:
-            return
-        pull = self._pull(i, imu.boot_us)
-        acting = self.decider.observer.acting(imu.boot_us // 1000 - 1)  # until then
-        if pull is None or acting is None:
-            return
-        made = made_thrust_N(float(self.loop.system.m[i]), float(imu.specific_force[2]), pull)
-        self.scales[i] = self.scales[i].seen(float(acting[1][i]), made)
-
-    def _pull(self, i: int, boot_us: int) -> float | None:
-        """N along vehicle i's body z: of its cable at an instant, from what is known of the ticks around it."""
-        period_us = 1000 * self.loop.period_ms
-        before_us = self.now_us - (self.now_us - boot_us + period_us - 1) // period_us * period_us
-        before = self._pull_at(i, before_us)
-        if before_us == boot_us or before is None:
-            return before
-        after = self._pull_at(i, before_us + period_us)
-        return None if after is None else before + (boot_us - before_us) / period_us * (after - before)
-
-    def _pull_at(self, i: int, boot_us: int) -> float | None:
-        known = self.decider.observer.known(boot_us // 1000)
-        if known is None:
-            return None
-        state, tension = known
-        if len(tension) != self.fleet.n:
-            return None  # of those that are left
-        k = int(self.loop.system.n_links[i])
-        down = self.hanging_N[i]  # what hangs above the last link's mass
-        R3 = state.R[i, :, 2]
-        return float(tension[i]) * float(state.q[i, k - 1] @ R3) + down * float(R3[2])
-
     def _answer(self, instant: Instant, arrived: float) -> Sample:
         now = instant.boot_ms * 1e-3
         t = max(0.0, self.flown)
@@ -318,10 +283,7 @@ class _Flight:
         self.fleet.observed(now, decided.gaps_m)
         self._send(self.fleet.due(now), setpoints)
         done = self.link.now()
-        for i, imu in self.accelerations:  # nobody waits for this
-            if imu.boot_us <= self.now_us:
-                self._compare_thrust(i, imu)
-        self.accelerations = [(i, imu) for i, imu in self.accelerations if imu.boot_us > self.now_us]
+        self.thrust.settle(self.now_us, self.decider.observer, self.decider.carrying)  # nobody waits for this
         self.record.decided(self.now_us, sample, decided.tension, self.decider.phase, instant.age_ms * 1e-3)
         self.predicted += instant.age_ms > 0 and self.fleet.flying
         if self.fleet.flying:
@@ -364,7 +326,7 @@ class _Flight:
         """What the loop measured of itself."""
         flight = 0.0 if self.started is None or self.last is None else self.last[1] - self.started
         age = self.ages_ms / self.aged if self.aged else None
-        return TickStatistics(self.ticks, self.missed, self.intervals, flight, self.scales, self.predicted, age)
+        return TickStatistics(self.ticks, self.missed, self.intervals, flight, self.thrust.scales, self.predicted, age)
 
 
 def fly(

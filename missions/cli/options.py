@@ -71,15 +71,18 @@ def load(
 
     Raises ScenarioError; an unknown firmware ends as usage.
     """
-    from missions.flight.simulate import kinds
-    from missions.scenario.autopilots import behind
     from missions.scenario.loading import load as read
 
     if firmware not in (None, "auto", "px4", "arducopter"):
         usage(f"--firmware: {firmware!r} given; write px4, arducopter or auto")
     external = backend != "builtin"
     flight = read(scenario, duration, seed, None if firmware == "auto" else firmware, script, external or connected)
-    return behind(flight, kinds(flight, backend)) if external else flight
+    if not external:
+        return flight
+    from missions.flight.simulate import kinds
+    from missions.scenario.autopilots import behind
+
+    return behind(flight, kinds(flight, backend))
 
 
 def backend(name: str, firmware: str | None, launch: Path | None) -> "Backend":

@@ -134,22 +134,27 @@ class InProcessSimulator:
     """The vehicles, which take their turn when the controller waits; see Simulator."""
 
     def __init__(self, values: Settings, truth: _Truth, network: MemoryNetwork) -> None:
-        """Raises LinkError, ValueError as `Server` does."""
+        """Raises LinkError where an address is taken; what else cannot be served is the `failure`."""
         self.failure: str | None = None
         self.untested = False
         self.report: Report | None = None
         self._stopped = False
         self._truth = truth
-        self._server = Server(values, self._sink, network)
         self._turns: Iterator[None] = iter(())
+        self._server: Server | None = None
+        try:
+            self._server = Server(values, self._sink, network)
+        except ValueError as error:
+            self.failure = str(error)
 
     def wait_ready(self, waiting: Callable[[], bool]) -> bool:
-        """They are."""
+        """They are, where they can be served."""
         del waiting
-        return True
+        return self.failure is None
 
     def go(self) -> None:
         """Let the vehicles' clock run, a turn at a time."""
+        assert self._server is not None
         self._turns = self._server.turns(lambda: self._stopped)
 
     def go_on(self) -> bool:
@@ -159,6 +164,7 @@ class InProcessSimulator:
         except StopIteration:
             return False
         except PhysicsError as error:
+            assert self._server is not None
             t = self._server.now_us * 1e-6
             self.failure = f"physics: {error} (t = {t:.2f} s of the vehicles' clock)"
             return False
@@ -166,7 +172,7 @@ class InProcessSimulator:
 
     def stop(self) -> None:
         """End the vehicles and take what they still had to say."""
-        if self._stopped:
+        if self._stopped or self._server is None:
             return
         self._stopped = True
         while self.go_on():

@@ -8,6 +8,7 @@ t = (1 - e) c + e c^2 with c = (pwm' - MOT_SPIN_MIN) / (MOT_SPIN_MAX - MOT_SPIN_
 e = MOT_THST_EXPO. Rotor speed goes with the root of t. So a throttle of F / F_max gives F.
 """
 
+import errno
 import socket
 import struct
 import sys
@@ -92,11 +93,8 @@ class ArduPilotSeat:
         self._address: Address | None = None
         self._waits = False  # for the answer to its newest frame
         self._answer = b""
-        self._refused = False  # something that was sent to it found no port
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
-        if sys.platform == "linux":  # what is refused is told of a socket that is not connected, too
-            self._socket.setsockopt(socket.SOL_IP, IP_RECVERR, 1)
         bind(self._socket, here, "udp")
 
     @property
@@ -122,10 +120,7 @@ class ArduPilotSeat:
         """Whether there was a packet."""
         try:
             data, address = self._socket.recvfrom(2048)
-        except ConnectionRefusedError:
-            self._refused = True
-            return False
-        except BlockingIOError:
+        except (BlockingIOError, ConnectionRefusedError):
             return False
         try:
             packet = servos(data)
@@ -139,10 +134,13 @@ class ArduPilotSeat:
         """An empty datagram, which SITL takes no notice of, is refused where its port is closed (as Linux tells)."""
         if self._address is None:
             return
-        self._refused = False
+        if sys.platform == "linux":  # of a socket that is not connected, what is refused is told on request alone
+            self._socket.setsockopt(socket.SOL_IP, IP_RECVERR, 1)
         self._send(b"")
-        self._hear_one()
-        if self._refused and not self._waits:
+        refused = self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR) == errno.ECONNREFUSED
+        if sys.platform == "linux":
+            self._socket.setsockopt(socket.SOL_IP, IP_RECVERR, 0)  # and forgets what it told
+        if refused:
             raise SeatError("no longer runs: its port is closed")
 
     def due(self, now_us: int) -> bool:
@@ -184,9 +182,6 @@ class ArduPilotSeat:
         assert self._address is not None
         try:
             self._socket.sendto(data, self._address)
-        except ConnectionRefusedError:  # of what was sent before
-            self._refused = True
-            return False
         except OSError:
             return False
         return True
