@@ -5,6 +5,8 @@ from typing import NamedTuple
 from bridge.wire.ports import GROUND_PORT, LISTEN_PORT, TRACKER_PORTS, Endpoint, stream_port, vehicle_ports
 from sitl.firmware.autopilot import LinkKind
 
+CONTROLLER = (250, 191)  # system and component whose answers may hold the clock
+
 
 class Place(NamedTuple):
     """What one of the server's ports is for."""

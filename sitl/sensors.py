@@ -16,14 +16,19 @@ class Sensors:
     """The estimates of the vehicles and the tracker: the truth with noise of its own at every instant."""
 
     def __init__(
-        self, noise: Noise, rng: np.random.Generator, wrong: tuple[Array, Array] | None = None,
+        self, noise: Noise, rng: np.random.Generator, wrong: tuple[Array, Array, float] | None = None,
         instruments: list[Instruments] | None = None,
     ) -> None:  # fmt: skip
-        """`wrong`: (n, 3) m and (n, 3) rad, always; `instruments` of each vehicle, where they are not perfect."""
+        """`instruments` of each vehicle, where they are not perfect.
+
+        `wrong`, always: positions (n, 3) m, attitudes (n, 3) rad about the body axes, and all headings, rad: a wrong
+        heading turns what a vehicle takes for its attitude about the vertical, so that its thrust leans the wrong way.
+        """
         self._noise = noise
         self._rng = rng
         self._exact = noise == Noise()
         self._wrong, self._instruments = wrong, instruments
+        self._heading = lie.exp(np.array([0.0, 0.0, wrong[2]])) if wrong is not None and wrong[2] else None
 
     def vehicle(self, i: int, s: Snapshot, tells_imu: bool) -> Snapshot:
         """What vehicle i (from 0) says of itself; what its IMU reads only where it `tells_imu`."""
@@ -35,7 +40,8 @@ class Sensors:
                 imu = own.reading(s.specific_force, s.Omega, s.R, s.home.altitude_m - float(s.x[2]))
             s = s._replace(fix=fix, imu=imu)
         if self._wrong is not None:
-            s = s._replace(x=s.x + self._wrong[0][i], R=s.R @ lie.exp(self._wrong[1][i]))
+            R = s.R @ lie.exp(self._wrong[1][i])
+            s = s._replace(x=s.x + self._wrong[0][i], R=R if self._heading is None else self._heading @ R)
         if self._exact:
             return s
         n = self._noise

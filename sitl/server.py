@@ -18,7 +18,7 @@ from bridge.wire.values import IN_AIR, ON_GROUND, AttitudeTarget, Timesync
 from cablequad.model import lie
 from cablequad.types import Array
 from sitl import tracker
-from sitl.addresses import places, tracker_endpoints
+from sitl.addresses import CONTROLLER, places, tracker_endpoints
 from sitl.batteries import Batteries
 from sitl.failures import ActiveFailures
 from sitl.firmware.arducopter import ArduCopter
@@ -30,7 +30,6 @@ from sitl.firmware.telemetry import BUILD, Snapshot
 from sitl.plant import Plant, Truth, UntetheredPlant
 from sitl.settings import Event, Report, Settings, Sink, plant_of, sensors_of, unread_frames
 
-CONTROLLER = (250, 191)  # whose setpoints may hold the clock
 PERSONAS: dict[str, type[Px4] | type[ArduCopter]] = {"px4": Px4, "arducopter": ArduCopter}
 NO_FORCE = np.zeros(3)
 LOOK_S, RESEND_LOOKS = 0.1, 10  # wall clock, of one look for answers; after so many the tick is said again

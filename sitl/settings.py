@@ -126,7 +126,8 @@ def sensors_of(s: Settings) -> Sensors:
         b = s.biases
         wrong = (
             b.position * rng.normal(size=(n, 3)) + np.array(b.position_offset),
-            b.attitude * rng.normal(size=(n, 3)) + np.array(b.attitude_offset),
+            b.attitude * rng.normal(size=(n, 3)) + np.array([*b.attitude_offset[:2], 0.0]),
+            b.attitude_offset[2],
         )
     instruments = None
     if s.grades is not None:

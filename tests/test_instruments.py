@@ -10,13 +10,16 @@ from pymavlink.dialects.v20 import common as mav
 from bridge.wire.dialect import mavlink
 from cablequad.model import lie
 from cablequad.model.earth import RADIUS_M, Home, altitude_m
+from cablequad.model.noise import Noise
 from logs.reading.reader import read
 from logs.reading.records import entries
 from logs.schema import cablequad_pb2 as pb
 from missions.flight.simulate import Serving, settings
 from missions.scenario import loading as scenarios
 from sitl.batteries import Batteries, Battery
+from sitl.firmware.telemetry import Snapshot
 from sitl.instruments import Grades, Instruments
+from sitl.sensors import Sensors
 from sitl.settings import plant_of
 
 STILL = np.zeros(3)
@@ -34,6 +37,16 @@ def test_at_rest_instruments_read_gravity_the_field_and_the_air_with_noise_and_b
     assert altitude_m(i.pressure_hPa(488.0)) == pytest.approx(488.0, abs=1.0)
     assert (one(3).rate(STILL) == one(3).rate(STILL)).all()
     assert (one(3).rate(STILL) != one(4).rate(STILL)).any()
+
+
+def test_a_wrong_heading_turns_an_attitude_about_the_vertical_and_thrust_with_it() -> None:
+    R = lie.exp(np.array([0.0, -0.3, 0.0]))  # leaning forwards
+    sensors = Sensors(Noise(), np.random.default_rng(1), (np.zeros((1, 3)), np.zeros((1, 3)), 0.1))
+    resting = (R, STILL, 0.0)
+    own = Snapshot(0, R, STILL, STILL, STILL, np.array([0.0, 0.0, -9.81]), 0.0, False, 1, resting, Home())
+    told = sensors.vehicle(0, own, tells_imu=False).R
+    assert told @ R.T == pytest.approx(lie.exp(np.array([0.0, 0.0, 0.1])), abs=1e-12)
+    assert abs(told[1, 2] / R[0, 2]) == pytest.approx(np.sin(0.1), abs=1e-12)  # what pushes forwards pushes to the side
 
 
 def test_a_fix_is_as_old_as_the_receiver_is_late_and_new_only_at_its_rate() -> None:

@@ -1,5 +1,6 @@
 """A computer that stands still decides nothing: in lockstep a stall of any process changes no flight and no log."""
 
+import json
 import os
 import signal
 import time
@@ -9,6 +10,7 @@ from typing import Any
 import pytest
 from conftest import Command, cablequad, flown, next_offset
 from strangers import COMPARED
+from test_autopilots import BACKEND, Fleet
 
 from bridge.wire.ports import Address, DatagramPort
 from logs.reading.records import entries
@@ -80,6 +82,32 @@ def test_a_process_that_stands_still_for_eight_seconds_changes_nothing(
     ours = told(next(folder.glob("*.mcap")))
     assert set(ours) == set(quiet)
     assert [topic for topic in ours if ours[topic] != quiet[topic]] == []
+
+
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="finds processes by /proc")
+@pytest.mark.parametrize(("scenario", "kinds"), [("one-vehicle", "a"), ("two-vehicles", "pp")])
+def test_whoever_stands_still_the_physics_behind_autopilots_waits_for_all(
+    scenario: str, kinds: str, tmp_path: Path
+) -> None:
+    """The controller, the physics, the log and the autopilots, a second each and again, at 250 decisions a second."""
+    offset = next_offset()
+    with Fleet(kinds, offset) as autopilots:
+        flying = Command(
+            "fly", scenario, "--json", "--backend", BACKEND[kinds[0]], "--firmware", "auto", "--speed", "max",
+            "--no-replay", "--out", str(tmp_path), "--port-offset", str(offset),
+        )  # fmt: skip
+        own = in_flight(tmp_path, flying)
+        for pid in [flying.process.pid, *own, *(a.pid for a in autopilots.processes)] * 2:
+            if flying.process.poll() is None:
+                os.kill(pid, signal.SIGSTOP)
+                time.sleep(1.0)
+                os.kill(pid, signal.SIGCONT)
+                time.sleep(0.2)
+        code, out, err = flying.wait()
+    s = json.loads(out)
+    assert s["state_age_ms"] < 5.0, err
+    assert code in (0, 1), err
+    assert s["final_position_error_m"] < 0.01, s["reason"]  # 0.1 m and more where a second of flight goes undecided
 
 
 def test_a_simulator_that_never_goes_on_ends_a_flight_untested(tmp_path: Path) -> None:

@@ -46,6 +46,7 @@ class Patience(NamedTuple):
     joint: bool = False  # it waits for autopilots, which may stall as long as they run
     simulated: bool = False  # the vehicles are a simulator's that is alive as long as nobody says otherwise
     stall_s: float = STALL_S  # wall clock without a frame, after which a simulator in lockstep is given up
+    acknowledge: bool = False  # tell the tracker of every tick that was dealt with: physics behind autopilots waits
 
 
 class TickStatistics(NamedTuple):
@@ -166,7 +167,7 @@ class _Flight:
                 tracked = max(tracked or 0, self.now_us)
             else:
                 sample = self._answer(instant, arrived)
-                tracked = None if tracked == self.now_us else tracked
+                tracked = None if tracked == self.now_us and not self.patience.acknowledge else tracked
             boot_ms = self.barrier.open()
         self._ask_time(arrived)
         slow = not self.patience.lockstep and bool(self.pending)

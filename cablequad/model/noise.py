@@ -20,4 +20,4 @@ class Biases(NamedTuple):
     position: float = 0.0  # m, standard deviation of each component, each vehicle's own
     attitude: float = 0.0  # rad, of each body axis
     position_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)  # m, W, of all vehicles
-    attitude_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)  # rad, about the body axes, of all vehicles
+    attitude_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)  # rad, of all vehicles: roll, pitch, heading

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
+from scipy.signal import cont2discrete, lfilter
 
 from bridge.wire.messages import decode
 from bridge.wire.values import AttitudeTarget, VehicleAttitude
@@ -24,6 +25,7 @@ from missions.scenario.loading import Flight
 from sitl.firmware.telemetry import euler
 
 STEP_S = 0.002
+AFTER_S = 10.0  # that the last command is known to stand
 GUESSES = ((10.0, 0.9, 0.02), (25.0, 0.8, 0.02), (5.0, 0.9, 0.05))
 LOWEST, HIGHEST = (2.0, 0.3, 0.0), (80.0, 2.0, 0.2)
 HUNG = 0.75  # of the weight of a cable that is slack under its vehicle, that hangs on it
@@ -47,17 +49,27 @@ Told = tuple[Array, Array]  # (m,) s, (m, 2) rad: commanded roll and pitch
 def answers(p: Array, told: Told, at: Array, start: Array) -> Array:
     """(k, 2) rad at times `at` (k,) s: how a response of p = bandwidth (rad/s), damping, delay (s) follows `told`."""
     bandwidth, damping, delay = p
-    times, angles = told
     steps = np.arange(at[0], at[-1] + 2 * STEP_S, STEP_S)
-    held = angles[np.clip(np.searchsorted(times, steps - delay, side="right") - 1, 0, len(times) - 1)]
-    out = np.empty((len(steps), 2))
-    x, v = start.copy(), np.zeros(2)
-    w2, c = bandwidth * bandwidth, 2.0 * damping * bandwidth
-    for k, goal in enumerate(held):
-        out[k] = x
-        v = v + STEP_S * (w2 * (goal - x) - c * v)
-        x = x + STEP_S * v
+    second_order = [bandwidth**2], [1.0, 2.0 * damping * bandwidth, bandwidth**2]
+    numerator, denominator, _ = cont2discrete(second_order, STEP_S, "zoh")
+    goals = _mean_commands(told, steps - delay) - start
+    out = start + lfilter(numerator.ravel(), denominator, goals, axis=0)
     return np.column_stack([np.interp(at, steps, out[:, k]) for k in range(2)])
+
+
+def _mean_commands(told: Told, begins: Array) -> Array:
+    """(k, 2) rad: the mean of what was commanded in each step that begins there: smooth in the delay.
+
+    A command stands until the next, the first and the last for ever.
+    """
+    times, angles = told
+    turned = np.zeros((len(times) + 1, 2))  # its integral, until far after the last
+    turned[1:] = np.cumsum(angles * np.diff(times, append=times[-1] + AFTER_S)[:, None], axis=0)
+    edges = np.append(begins, begins[-1] + STEP_S)
+    ends = np.append(times, times[-1] + AFTER_S)
+    whole = np.column_stack([np.interp(edges, ends, turned[:, k]) for k in range(2)])
+    early = np.minimum(edges - times[0], 0.0)[:, None] * angles[0]
+    return np.asarray(np.diff(whole + early, axis=0) / STEP_S)
 
 
 def fitted(told: Told, at: Array, seen: Array) -> tuple[tuple[float, float, float], float]:
@@ -66,11 +78,7 @@ def fitted(told: Told, at: Array, seen: Array) -> tuple[tuple[float, float, floa
     def misfit(p: Array) -> Array:
         return (answers(p, told, at, seen[0]) - seen).ravel()
 
-    # a delay that jumps by command stamps has no slope at a point: differences are taken over a part of a period
-    found = [
-        least_squares(misfit, guess, bounds=(LOWEST, HIGHEST), x_scale=(10.0, 1.0, 0.02), diff_step=(0.02, 0.02, 0.3))
-        for guess in GUESSES
-    ]
+    found = [least_squares(misfit, guess, bounds=(LOWEST, HIGHEST), x_scale=(10.0, 1.0, 0.02)) for guess in GUESSES]
     best = min(found, key=lambda f: f.cost)
     w, z, d = (float(p) for p in best.x)
     return (w, z, d), math.sqrt(2.0 * best.cost / seen.size)

@@ -190,7 +190,7 @@ def _run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary,
             show = Show(beginning.path)
         _warm_up(design, flight)  # before the vehicles' clock runs: it does not wait for a compiler
         predict_once(flight)
-        prepared = set_up(flight, design, options.configure, lockstep, _expected(flight, options))
+        prepared = set_up(flight, design, options.configure, lockstep or external, _expected(flight, options))
         if external and options.launch is not None:
             autopilots = Autopilots(starts, beginning.path.with_suffix(""))
         elif external:
@@ -217,7 +217,9 @@ def _run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary,
                 if simulator is not None:
                     simulator.go()
                 stall_s = options.stall_timeout_s + external * 10.0  # whose physics says first who does not answer
-                patience = Patience(connect_s, lockstep, external, simulator is not None, stall_s)
+                patience = Patience(
+                    connect_s, lockstep, external, simulator is not None, stall_s, external or bool(options.connect)
+                )
                 outcome, timing = _fly(
                     flight, prepared, link, sink, simulator, interrupted, progress,
                     patience,

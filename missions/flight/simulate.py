@@ -77,7 +77,7 @@ def settings(flight: Flight, serving: Serving) -> Settings:
         await_controller=serving.await_controller,
         speed=serving.speed,
         # who started us is waited for as long as it lives
-        answer_timeout_s=math.inf if serving.lockstep and serving.await_controller else s.link.answer_timeout_s,
+        answer_timeout_s=math.inf if serving.await_controller else s.link.answer_timeout_s,
         port_offset=serving.port_offset,
         host=serving.host,
         home=Home(epoch_s=s.epoch_s),

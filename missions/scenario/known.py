@@ -4,7 +4,7 @@ By `cablequad identify` with four ArduCopter 4.7-dev and four PX4 main of August
 slack cables behind our physics: 12.4 to 13.4 rad/s, damping 0.83 to 0.86, 43 to 55 ms; 10.1 to 10.4 rad/s, 1.06 to
 1.08, 33 to 37 ms. Attitudes and positions against the truth of flights of Case 1 and ground-to-ground: the tilt of each
 PX4 is off by its own 0.09 to 0.24 deg; that of all ArduCopters by the same 0.08 to 0.19 deg, which leans no cable
-against another, and their yaw by 0.8 to 1 deg. All ArduCopters say that they are 12 to 14 cm higher than they are.
+against another, and their heading by 0.8 to 1 deg. All ArduCopters say that they are 12 to 14 cm higher than they are.
 """
 
 from typing import NamedTuple
@@ -21,7 +21,7 @@ class Known(NamedTuple):
     wander_deg: float  # how far the estimated tilt of one vehicle is off from the others', at most
     bias_deg: float  # about each axis, one standard deviation of it
     position_offset_m: tuple[float, float, float]  # of the positions of all vehicles, by the origin that they take
-    attitude_offset_deg: tuple[float, float, float]  # of the attitudes of all
+    attitude_offset_deg: tuple[float, float, float]  # of all: about x and y of the body, heading
     phase_ms: float  # of its streams, modulo 20 ms
     fastest_attitude_us: int  # between two attitudes that it sends
 

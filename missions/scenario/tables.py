@@ -258,7 +258,7 @@ class SensorsTable(_Table):
     position_bias_m: NotNegative = 0.0  # of a vehicle's own position, drawn once
     attitude_bias_deg: NotNegative = 0.0
     position_offset_m: Vector = [0.0, 0.0, 0.0]  # of what all vehicles report of their own position
-    attitude_offset_deg: Vector = [0.0, 0.0, 0.0]  # of what all take for their attitude, about the body axes
+    attitude_offset_deg: Vector = [0.0, 0.0, 0.0]  # of what all take for it: about the body's x, y; heading
     imu: ImuTable | None = None
     magnetometer: MagnetometerTable | None = None
     barometer: BarometerTable | None = None

@@ -18,7 +18,7 @@ from bridge.wire.link import Link
 from bridge.wire.messages import encode
 from bridge.wire.values import IN_AIR, ON_GROUND, LandedState, Timesync
 from sitl import tracker
-from sitl.addresses import tracker_endpoints
+from sitl.addresses import CONTROLLER, tracker_endpoints
 from sitl.batteries import Batteries
 from sitl.external.ardupilot import ARDUPILOT_PORT, ArduPilotSeat
 from sitl.external.px4 import PX4_PORT, SENSOR_US, Px4Seat
@@ -35,8 +35,10 @@ START_US = 1_000_000  # of the physics' clock: no firmware is told that it is 0
 GRACE_S = 30.0  # of the physics' clock, for those that are left
 CARRIED_S, STEADY = 0.5, 0.04  # what a vehicle gives must be more than its weight, and change by no more, for so long
 LANDED_US = 200_000
+LEAD_US = 5000  # of the physics before a controller that deals with every state
 BOOT_S = 120.0  # wall clock, for autopilots that somebody else starts
 PROBE_S = 0.5  # wall clock, between looks whether one that is silent still runs
+ASK_AGAIN_S = 0.5  # wall clock, after which a controller without an answer is told the same state again
 STALL_SAID_S = 3.0  # wall clock, after which a silence is told
 BURST_S = 0.002  # wall clock: that answers of one step are apart, at most, for all to be heard together
 REAL_TIME_S = 0.2  # behind the wall clock that is made up for
@@ -123,6 +125,8 @@ class JointServer:
         self.now_us = START_US
         self._steps = 0
         self._pace_from: tuple[int, float] | None = None
+        self._reported: Truth | None = None  # the last state that the controller was told
+        self._answered_us: int | None = None  # of the last state that it dealt with; None: nobody does
 
     def _seat(self, i: int, kind: str) -> Seat:
         s = self.settings
@@ -140,8 +144,9 @@ class JointServer:
             while not stop():
                 self._gather(stop)
                 self._step()
+                self._await_controller(stop)
                 self._tell()
-                self._listen()
+                self._listen(0.0)
                 self._end_after_grace()
         return self.report()
 
@@ -296,7 +301,10 @@ class JointServer:
 
     def _track(self, truth: Truth) -> None:
         s, now = self.settings, self.now_us
-        self._tracker.tell(self._sensors.tracked(truth))
+        reported = self._sensors.tracked(truth)
+        if now % s.control_us == 0:
+            self._reported = reported
+        self._tracker.tell(reported)
         if now % LANDED_US == 0 or now == self._released_us:
             landed = encode(LandedState(ON_GROUND if self.plant.restrained else IN_AIR))
             self.link.put(0, tracker.SYSTEM, tracker.COMPONENT, landed)
@@ -304,10 +312,38 @@ class JointServer:
             self.link.put(0, tracker.SYSTEM, tracker.COMPONENT, origin(s.home))
         self.link.flush()
 
-    def _listen(self) -> None:
-        """Answer who asks the tracker for its time."""
-        for frame in self.link.poll(0.0):
-            if isinstance(frame.value, Timesync) and frame.value.tc1 == 0:
+    def _await_controller(self, stop: Callable[[], bool]) -> None:
+        """Until a controller that deals with every state has dealt with the last: a busy computer stalls it too."""
+        begun = asked = time.monotonic()
+        while self._unanswered() and not stop():
+            assert self._reported is not None
+            now = time.monotonic()
+            if now - begun > self.settings.answer_timeout_s:
+                self._answered_us = None
+                text = f"no answer to the state for {self.settings.answer_timeout_s:g} s; it is not waited for any more"
+                self._sink(Event(self.now_us, "answer-missing", "controller", text))
+                return
+            if now - asked > ASK_AGAIN_S:
+                asked = now
+                self._tracker.tell(self._reported)
+                self.link.flush()
+            self._listen(ASK_AGAIN_S)
+
+    def _unanswered(self) -> bool:
+        reported, answered_us = self._reported, self._answered_us
+        if reported is None or answered_us is None:
+            return False
+        return answered_us + self.settings.control_us <= min(reported.boot_us, self.now_us - LEAD_US)
+
+    def _listen(self, timeout: float) -> None:
+        """Answer who asks the tracker for its time; hear the controller say what it has dealt with."""
+        for frame in self.link.poll(timeout):
+            if not isinstance(frame.value, Timesync):
+                continue
+            tc1, ts1 = frame.value
+            if (frame.system, frame.component) == CONTROLLER and 0 < tc1 == ts1 <= self.now_us * 1000:
+                self._answered_us = max(self._answered_us or 0, tc1 // 1000)
+            elif tc1 == 0:
                 answer = encode(Timesync(self.now_us * 1000, frame.value.ts1))
                 self.link.put(frame.port, tracker.SYSTEM, tracker.COMPONENT, answer)
                 self.link.flush()

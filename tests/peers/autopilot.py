@@ -30,6 +30,7 @@ ARM, DRAG = 0.17, 0.02  # m
 SIDE = ((1, 1), (-1, -1), (1, -1), (-1, 1))  # forward, right: front right, rear left, front left, rear right
 TURN = (1, 1, -1, -1)  # of their drag on the body: the first two turn counter-clockwise
 RESPONSE = {False: (12.9, 0.85, 0.014), True: (10.2, 1.07, 0.004)}  # rad/s, damping, s until a setpoint acts; by px4
+HOLD_S = {False: 0.0006, True: 0.002}  # half of what lies between two torques; by px4
 PHASE_US = {False: 3_000, True: 8_000}  # of streams, modulo 20 ms
 DENSITY = (1 - 2.25577e-5 * 488.0) ** 4.25588  # at the default home, to that at sea level
 IMUS = 2  # that SITL has
@@ -83,6 +84,7 @@ class Filter(Estimate):
     def __init__(self):
         super().__init__()
         self.bias = [0.0, 0.0, 0.0]
+        self.before = (0.0, 0.0, 0.0)  # of the gyroscope, so that what it turned between two is the mean of both
         self.a = (0.0, 0.0, 0.0)  # from GPS, NED
         self.still = True  # disarmed, on the ground
         self.last_v = None
@@ -107,10 +109,12 @@ class Filter(Estimate):
         off = (seen[0] * FIELD[1] - seen[1] * FIELD[0]) / (FIELD[0] ** 2 + FIELD[1] ** 2)
         turn = rotate(conj(self.q), (0.0, 0.0, off))
         error = [a + b for a, b in zip(tilt, turn)]
-        trust, learn = (0.5, 0.5) if self.still else (0.1, 0.005)  # what accelerometer and field say, once it flies
+        trust, learn = (0.5, 0.5) if self.still else (0.05, 0.00125)  # what accelerometer and field say, once it flies
         self.bias = [b - learn * e * dt for b, e in zip(self.bias, error)]
         self.w = tuple(w - b for w, b in zip(gyro, self.bias))
-        step = [0.5 * dt * (w + trust * e) for w, e in zip(self.w, error)]
+        mean = [0.5 * (now + before) - b for now, before, b in zip(gyro, self.before, self.bias)]
+        self.before = gyro
+        step = [0.5 * dt * (w + trust * e) for w, e in zip(mean, error)]
         self.q = unit(mul(self.q, (1.0, *step)))
         self.f = acc
         f = rotate(self.q, acc)
@@ -168,7 +172,9 @@ class Copter:
         w, z, self.delay_s = RESPONSE[px4]
         w, z = options.bandwidth or w, options.damping or z
         self.delay_s = self.delay_s if options.delay is None else options.delay
-        self.angle_p, self.rate_p = w / (2 * z), 2 * z * w
+        held = HOLD_S[px4]  # a torque stands until the next: half of that is a delay in both loops
+        self.rate_p = 1 / (held + 1 / (2 * z * w + held * w * w))
+        self.angle_p = w * w * (1 / self.rate_p - held)
         self.coming = []  # setpoints that do not act yet
         self.booted = False
         self.share = 0.0
