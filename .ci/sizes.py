@@ -21,9 +21,6 @@ LARGE = {  # function or class: why
     "bridge/loop/fly.py:_Flight.step": APART,
     "bridge/loop/fly.py:fly": APART,
     "bridge/loop/state_assembly.py:StateAssembler": APART,
-    "bridge/mission/mission.py:Mission": APART,
-    "bridge/mission/mission.py:Mission._enter": APART,
-    "bridge/mission/fault_detection.py:FaultDetector.look": APART,
     "bridge/wire/batches.py:_framed": COMPILED,
     "cablequad/environment/untethered.py:fly_untethered": COMPILED,
     "cablequad/model/dynamics.py:_solve_payload": EQUATION,
@@ -52,15 +49,15 @@ ROWS = {
     "State", "Tangent", "Scratch", "Workspace", "Places", "Formation", "Sample", "_Decision", "Memory", "Attitude",
     "Whole", "World", "Ground", "Surroundings", "Rotors", "SwingDamping", "Certificate", "Margins", "MotionHistory",
     "Run", "Report", "Snapshot", "Received", "PositionTarget", "AttitudeTarget", "Followed", "Weights", "Grades",
-    "Failure", "Faults", "Flight", "GuardInputs", "MissionPlan", "Options", "LoopModel", "Plant", "Recorder", "Known",
-    "FleetOptions", "Profile", "TickStatistics",
+    "Failure", "Faults", "Flight", "GuardInputs", "FaultInputs", "MissionPlan", "Options", "LoopModel", "Plant",
+    "Recorder", "Known", "FleetOptions", "Profile", "TickStatistics",
 }  # records, whose fields stand in the order of their definition  # fmt: skip
 LAYOUTS = {
     "packed", "pack", "odometry", "attitude", "layout.records", "_envelope", "Grid", "add_row", "records",
 }  # bytes and rows in their order  # fmt: skip
 CALLS = {
     "fly", "advance_on", "commands", "fly_each", "fly_untethered", "_framed", "_corner", "_push", "_design",
-    "_ardupilot", "_advice", "rollout", "summarize", "__init__", "look", "snapshot", "_Flight", "_fly",
+    "_ardupilot", "_advice", "rollout", "summarize", "__init__", "snapshot", "_Flight", "_fly",
 }  # compiled code, and what is to be taken apart  # fmt: skip
 
 

@@ -736,7 +736,7 @@ def test_a_response_without_noise_is_found_as_an_integrator_of_its_own_made_it()
     at = np.arange(0.5, 6.0, 0.01)
     for w, z, d in ((9.0, 1.07, 0.0123), (14.0, 0.8, 0.0271), (40.0, 0.9, 0.0049)):
 
-        def turning(t: float, y: Any, w: float = w, z: float = z, d: float = d) -> Any:
+        def turning(t: float, y: np.ndarray, w: float = w, z: float = z, d: float = d) -> np.ndarray:
             goal = angles[max(0, int(np.searchsorted(times, t - d, side="right")) - 1)]
             return np.concatenate([y[2:], w * w * (goal - y[:2]) - 2 * z * w * y[2:]])
 

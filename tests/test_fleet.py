@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from bridge.mission.protection.fault_detection import FaultDetector, FaultInputs
 
 from bridge.fleet.fleet import Fleet, FleetOptions
 from bridge.fleet.profiles import PROFILES
@@ -12,7 +13,6 @@ from bridge.fleet.vehicle import Request, Stage
 from bridge.loop.state_assembly import LoopModel, StateAssembler
 from bridge.loop.thrust_comparison import ThrustComparison
 from bridge.loop.tick_barrier import TickBarrier
-from bridge.mission.fault_detection import FaultDetector
 from bridge.mission.observation import Observation
 from bridge.wire.values import (
     CableShape,
@@ -511,7 +511,7 @@ def test_who_seems_to_be_off_its_cable_must_seem_so_for_longer_while_a_load_topp
     ends, lengths = s.x0 + SYSTEM.rho @ s.R0.T, SYSTEM.length.sum(axis=1)
     detector, lost_at = FaultDetector(), None
     for k in range(200):
-        loss = detector.look(0.02 * k, [0, 1, 2, 3], seen, ends, lengths, None, taut, {}, set())
+        loss = detector.look(0.02 * k, FaultInputs([0, 1, 2, 3], seen, ends, lengths, None, taut, {}, set()))
         if loss is not None:
             assert loss.member == 2
             lost_at = 0.02 * k

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bridge.mission.crew.per_vehicle import clear_of
+from bridge.mission.protection.guards import Guard, GuardMonitor, separation
 from conftest import Command, cablequad, flown, next_offset
 
-from bridge.mission.guards import Guard, GuardMonitor, separation
-from bridge.mission.per_vehicle import clear_of
 from bridge.mission.phases import ORDER, RULES, Phase
 from bridge.mission.plan_clock import PlanClock
 from logs.reading.reader import Run, read

@@ -55,3 +55,5 @@ LOADED = frozenset({P.LIFT, P.CARRY, P.SET_DOWN})  # the load hangs, or is about
 FLYING = LOADED | {P.TAKE_OFF, P.TENSION, P.RELEASE, P.LAND}
 PREPARE, FLY = "prepare", "fly"  # the two phases of a flight that begins in the air
 CARRIED: frozenset[str] = frozenset({FLY, *LOADED})  # phases in which a load is flown along its reference
+ON_PLAN = frozenset({P.LIFT, P.CARRY})  # the load is to be where its reference is; set down, it is led into the ground
+SLACK = frozenset({P.TAKE_OFF, P.TENSION, P.RELEASE})  # nobody carries yet, or any more

@@ -3,8 +3,8 @@
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
-from bridge.mission.guards import Guard
 from bridge.mission.phases import Phase
+from bridge.mission.protection.guards import Guard
 from cablequad.control.trajectory import Limits, Trajectory
 from cablequad.types import Array
 

@@ -240,7 +240,7 @@ def _run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary,
         mission = prepared.mission
         grounded, mark = judged.grounded, None
         if mission is not None:
-            grounded, mark = grounded or felt(mission), mission.mark
+            grounded, mark = grounded or felt(mission), mission.figures.mark
         summary = summarize(
             flight.scenario.name, flight.scenario.acceptance, sink.track, outcome, timing,
             link.counters.sent, lost, missed, n, judged.followed, grounded, mark,

@@ -3,9 +3,9 @@
 import math
 
 import numpy as np
+from bridge.mission.protection.guards import Guard
 
 from bridge.fleet.fleet import Fleet
-from bridge.mission.guards import Guard
 from bridge.mission.mission import Mission, Script
 from bridge.mission.phases import ORDER, RULES, Phase
 from bridge.mission.plan import MissionPlan
@@ -59,8 +59,8 @@ def felt(mission: Mission) -> Grounded | None:
     where = mission.load_m
     if where is None:
         return None
-    tension, separation = mission.largest_tension_N, mission.smallest_separation_m
-    return Grounded(where, mission.touch_down_m_s, tension, separation, None)
+    tension, separation = mission.figures.largest_tension_N, mission.figures.smallest_separation_m
+    return Grounded(where, mission.figures.touch_down_m_s, tension, separation, None)
 
 
 def _hangs(flight: Flight) -> np.ndarray:

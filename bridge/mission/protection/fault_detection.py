@@ -25,38 +25,39 @@ class Loss(NamedTuple):
     sound: bool  # it flies, and may land by itself
 
 
+class FaultInputs(NamedTuple):
+    """What faults are found in, of one instant.
+
+    Where cables need not be `taut` every vehicle flies by itself: it may be near its end of one, and what a load that
+    topples does to it for a moment is not its doing.
+    """
+
+    members: list[int]
+    observation: Observation
+    ends: Array  # (n, 3) m, where the cables are tied to the load
+    lengths: Array  # (n,) m
+    R_c: Array | None  # (n, 3, 3), commanded last
+    taut: bool
+    departed: Mapping[int, tuple[float, str]]  # by the vehicle: when to act, and why
+    astray: set[int]  # who does not know where it is
+
+
 class FaultDetector:
     """What is wrong with each vehicle, and since when."""
 
     def __init__(self) -> None:
         self._since: dict[int, float] = {}
 
-    def look(
-        self,
-        now: float,
-        members: list[int],
-        observation: Observation,
-        ends: Array,
-        lengths: Array,
-        R_c: Array | None,
-        taut: bool,
-        departed: Mapping[int, tuple[float, str]],
-        astray: set[int],
-    ) -> Loss | None:
-        """The first of `members` that is lost; `ends` (n, 3) m are where cables of `lengths` (n,) m are tied.
-
-        `R_c` (n, 3, 3) is what was commanded last. `departed` tells by vehicle when to act and why, `astray` who does
-        not know where it is. Where cables need not be `taut` every vehicle flies by itself: it may be near its end of
-        one, and what a load that topples does to it for a moment is not its doing.
-        """
-        far = np.linalg.norm(observation.x - ends, axis=1)
-        for own, k in enumerate(members):
-            act_at, why = departed.get(k, (math.inf, ""))
+    def look(self, now: float, f: FaultInputs) -> Loss | None:
+        """The first member that is lost at `now`, s of the vehicles' clock."""
+        observation = f.observation
+        far = np.linalg.norm(observation.x - f.ends, axis=1)
+        for own, k in enumerate(f.members):
+            act_at, why = f.departed.get(k, (math.inf, ""))
             loss, wait = Loss(own, why, False, True), 0.0
             if now < act_at:
-                trusted = k not in astray and observation.x_age_s[own] < FRESH_S
-                told = far[own] if trusted else lengths[own]
-                loss, wait = _seen(own, float(told), float(lengths[own]), R_c, observation.state.R, taut)
+                trusted = k not in f.astray and observation.x_age_s[own] < FRESH_S
+                loss, wait = _seen(own, float(far[own] if trusted else f.lengths[own]), f)
             if not loss.why:
                 self._since.pop(k, None)
             elif now - self._since.setdefault(k, now) >= wait:
@@ -70,15 +71,16 @@ class FaultDetector:
         return None
 
 
-def _seen(own: int, far: float, length: float, R_c: Array | None, R: Array, taut: bool) -> tuple[Loss, float]:
-    """What is wrong with a vehicle `far` m from its end of a cable of `length` m, and how long that is waited for."""
+def _seen(own: int, far: float, f: FaultInputs) -> tuple[Loss, float]:
+    """What is wrong with a vehicle `far` m from its end of a cable, and how long that is waited for."""
+    length, taut = float(f.lengths[own]), f.taut
     gone_s = GONE_S if taut else APART_S
     if far > CUT * length + CUT_M:
         return Loss(own, f"it is {far:.2f} m from the load: its cable is off", True, True), gone_s
     if taut and far < SAGGED * length:
         return Loss(own, "it is where its cable cannot hold the load", False, False), GONE_S
-    if R_c is not None:
-        cosine = float(R_c[own, :, 2] @ R[own, :, 2])
+    if f.R_c is not None:
+        cosine = float(f.R_c[own, :, 2] @ f.observation.state.R[own, :, 2])
         if math.acos(min(1.0, max(-1.0, cosine))) > NO_FOLLOW_RAD:
             return Loss(own, "it does not follow its attitude", False, False), max(
                 NO_FOLLOW_S, gone_s if not taut else 0.0

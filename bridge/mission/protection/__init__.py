@@ -1,0 +1,1 @@
+"""What goes wrong in a mission, how it is found, and what is done then."""
