@@ -1,12 +1,16 @@
 """Gains and the sampled loop."""
 
+from pathlib import Path
+from typing import get_args
+
 import numpy as np
 import pytest
 from conftest import irregular
 
 from cablequad.analysis.rollout import LoopTiming, rollout
-from cablequad.control.control_step import Measurement, control_step, first_memory
+from cablequad.control.control_step import Measurement, Memory, Sample, control_step, first_memory
 from cablequad.control.design import (
+    Design,
     Weights,
     continuous_law,
     flown_model,
@@ -15,12 +19,18 @@ from cablequad.control.design import (
     sampled_loop,
     state_space,
 )
+from cablequad.control.law import LAWS, SAMPLED, Loop
 from cablequad.control.trajectory import Limits, Reference, at, leg
 from cablequad.model.attitude import Airframe, Setpoint, flown
 from cablequad.model.controllability import OUTPUTS, controllable, integrable_outputs
 from cablequad.model.state import State
 from cablequad.model.stiffness import stable_substep, stiffest_mode
 from cablequad.model.system import Cable, Payload, Quadrotor, System
+from missions.analysis.replay_control import redecide
+from missions.flight.run import Options, Progress, run
+from missions.scenario import loading as scenarios
+from missions.scenario.mission_setup import contingencies
+from missions.scenario.tables import ControlTable
 
 PAPER = System.paper(1)
 TARGET = Reference(np.array([0.44, 0.78, -0.5]), np.zeros(3))
@@ -126,3 +136,56 @@ def test_short_links_ask_for_shorter_steps() -> None:
     assert stable_substep(stiff, 1000, 4000) * 1e-6 * stiffest_mode(stiff) < 0.5
     assert 4000 % stable_substep(stiff, 1000, 4000) == 0
     assert stable_substep(PAPER, 1000, 4000) == 1000
+
+
+class Counting:
+    """A law of somebody else's: ours, and it counts."""
+
+    def __init__(self) -> None:
+        self.designed = self.begun = self.decided = 0
+
+    def design(self, system: System, loop: Loop) -> Design:
+        self.designed += 1
+        return SAMPLED.design(system, loop)
+
+    def first(self, design: Design) -> Memory:
+        self.begun += 1
+        return SAMPLED.first(design)
+
+    def step(
+        self, design: Design, memory: Memory, measurement: Measurement, reference: Reference
+    ) -> tuple[Memory, Sample]:
+        self.decided += 1
+        return SAMPLED.step(design, memory, measurement, reference)
+
+
+@pytest.mark.parametrize("scenario", ["paper-case-1-50hz", "ground-to-ground"])
+def test_a_row_in_the_table_of_laws_is_flown_rolled_out_and_replayed(
+    scenario: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    law = Counting()
+    monkeypatch.setitem(LAWS, "sampled", law)
+    flight = scenarios.load(scenario, duration_s=2.0 if scenario.startswith("paper") else None)
+    summary, _ = run(flight, Options(out=tmp_path, in_process=True), Progress())
+    assert summary.log is not None
+    assert law.decided > 90
+    flown, law.decided = law.decided, 0
+    assert redecide(Path(summary.log)).decisions <= law.decided + 1
+    assert law.decided > 0.8 * flown
+    n = len(flight.system.m)
+    assert law.designed in (2, 2 * (n + 1))  # also for those that are left where one is lost, and again by the replay
+
+
+def test_the_law_of_those_that_are_left_is_that_of_all() -> None:
+    base = scenarios.load("ground-to-ground").scenario
+    printed = base.model_copy(update={"control": base.control.model_copy(update={"law": "paper"})})
+    flight = scenarios.flight_of(printed, "printed")
+    planned = contingencies(flight, scenarios.design(flight))
+    assert planned.law is LAWS["paper"]
+    assert len(planned.designs) > 1
+    for design in planned.designs.values():
+        assert not design.K_integral.any()
+
+
+def test_a_scenario_may_name_every_law_that_there_is() -> None:
+    assert set(get_args(ControlTable.model_fields["law"].annotation)) == set(LAWS)

@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bridge.mission.protection.fault_detection import FaultDetector, FaultInputs
 
 from bridge.fleet.fleet import Fleet, FleetOptions
 from bridge.fleet.profiles import PROFILES
@@ -14,6 +13,7 @@ from bridge.loop.state_assembly import LoopModel, StateAssembler
 from bridge.loop.thrust_comparison import ThrustComparison
 from bridge.loop.tick_barrier import TickBarrier
 from bridge.mission.observation import Observation
+from bridge.mission.protection.fault_detection import FaultDetector, FaultInputs
 from bridge.wire.values import (
     CableShape,
     Command,

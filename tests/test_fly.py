@@ -392,8 +392,8 @@ def test_replay_saves_an_rrd_also_from_a_cut_log(case_1: dict, tmp_path: Path) -
     assert "cut short" in err
     assert out.strip() == str(tmp_path / "cut.rrd")
     code, _, err = cablequad("replay", str(tmp_path / "none.mcap"), "--save", str(tmp_path / "x.rrd"))
-    assert code == 1
-    assert "No such file" in err
+    assert code == 2
+    assert "no such file" in err
 
 
 def test_case_2_reports_slack_with_time_and_cable(tmp_path: Path, offset: int) -> None:

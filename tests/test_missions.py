@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bridge.mission.crew.per_vehicle import clear_of
-from bridge.mission.protection.guards import Guard, GuardMonitor, separation
 from conftest import Command, cablequad, flown, next_offset
 
+from bridge.mission.crew.per_vehicle import clear_of
 from bridge.mission.phases import ORDER, RULES, Phase
 from bridge.mission.plan_clock import PlanClock
+from bridge.mission.protection.guards import Guard, GuardMonitor, separation
 from logs.reading.reader import Run, read
 from missions.analysis.drills import compared, drills, harm, rehearsal
 from missions.flight.summary import Summary

@@ -13,10 +13,12 @@ from conftest import Command, flown, next_offset
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bridge.mission.crew.members import Contingencies
 from bridge.mission.mission import Mission
 from bridge.mission.observation import Observation
 from bridge.mission.phases import FLYING, LOADED, Phase
 from cablequad.control.design import Design
+from cablequad.control.law import SAMPLED
 from missions.scenario import loading as scenarios
 from missions.scenario.loading import Flight
 from missions.scenario.mission_setup import plan_of
@@ -60,7 +62,7 @@ class Kinematics:
         self.fleet: Any = ObedientFleet(len(flight.system.m))
         period = flight.control_us * 1e-6
         runs = script_from(script, "m.py", waits)
-        self.mission = Mission(plan, self.fleet, {frozenset(): design}, {}, period, runs)
+        self.mission = Mission(plan, self.fleet, Contingencies(SAMPLED, {frozenset(): design}, {}), period, runs)
         self.plan, self.period, self.now = plan, period, 0.0
         self.state = flight.initial.copy()
         self.rest = self.state.x0.copy()

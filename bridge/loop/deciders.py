@@ -12,8 +12,9 @@ from bridge.mission.mission import UNSUPPORTED, Mission
 from bridge.mission.observation import Observation
 from bridge.mission.phases import FLY, LOADED, PREPARE
 from bridge.wire.values import CableShape, VehiclePosition
-from cablequad.control.control_step import Measurement, Sample, control_step, first_memory
+from cablequad.control.control_step import Measurement, Sample
 from cablequad.control.design import Design
+from cablequad.control.law import Controller
 from cablequad.control.trajectory import Reference
 from cablequad.model.attitude import Airframe
 from cablequad.model.state import positions
@@ -71,11 +72,11 @@ class Decider(Protocol):
 class PlanDecider:
     """Flies a plan, and holds its start until the release."""
 
-    def __init__(self, plan: Plan, fleet: Fleet, loop: LoopModel, design: Design) -> None:
+    def __init__(self, plan: Plan, fleet: Fleet, loop: LoopModel, law: Controller, design: Design) -> None:
         self.observer = StateAssembler(loop)
         self.carrying = True
         self._plan, self._fleet, self._design = plan, fleet, design
-        self._memory = first_memory(design)
+        self._law, self._memory = law, law.first(design)
 
     @property
     def phase(self) -> str:
@@ -91,7 +92,7 @@ class PlanDecider:
     def answer(self, t: float, now: float, instant: Instant) -> Decided:
         del now
         measured = Measurement(t, instant.state, restrained=not self._fleet.flying)
-        self._memory, sample = control_step(self._memory, measured, self._plan.reference(t), self._design)
+        self._memory, sample = self._law.step(self._design, self._memory, measured, self._plan.reference(t))
         self.observer.commanded(instant.boot_ms, sample.R_c, sample.f)
         return Decided(sample, instant.tension.tolist(), instant.position_gap.tolist(), [])
 

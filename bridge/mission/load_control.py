@@ -8,8 +8,9 @@ import numpy as np
 from bridge.mission.crew.per_vehicle import SingleVehicles
 from bridge.mission.observation import Observation
 from bridge.mission.plan_clock import PlanClock
-from cablequad.control.control_step import Measurement, Sample, control_step, first_memory
+from cablequad.control.control_step import Measurement, Sample
 from cablequad.control.design import Design
+from cablequad.control.law import Controller
 from cablequad.control.single_vehicle import Goals
 from cablequad.control.trajectory import Reference, Trajectory, at, still
 from cablequad.model import lie
@@ -19,14 +20,14 @@ from cablequad.types import Array
 class LoadControl:
     """The memory of the law, and of every vehicle by itself."""
 
-    def __init__(self, design: Design, period_s: float, tell: Callable[[str, str, str], None]) -> None:
+    def __init__(self, law: Controller, design: Design, period_s: float, tell: Callable[[str, str, str], None]) -> None:
         """`tell`: kind, subject and text of an event."""
         n = len(design.system.m)
         self.singles = SingleVehicles(n, period_s)
         self.track: Trajectory = still([0.0, 0.0, 0.0, 0.0])
         self.last: Sample | None = None
-        self._design = design
-        self._memory = first_memory(design)
+        self._law, self._design = law, design
+        self._memory = law.first(design)
         self._R_before = np.tile(np.eye(3), (n, 1, 1))
         self._tilt, self._tilted_until = np.eye(3), 0.0  # of every vehicle, beyond what it is commanded
         self._finite = True  # so far
@@ -34,14 +35,14 @@ class LoadControl:
 
     def begin(self) -> None:
         """The load is taken up: nothing is remembered."""
-        self._memory = first_memory(self._design)
+        self._memory = self._law.first(self._design)
 
     def keep(self, rest: list[int], design: Design, x: Array) -> None:
         """Only some are left, at x (m, 3) m, for whom `design` is."""
         self._design = design
         self.singles.keep(x)
         self._R_before = self._R_before[rest].copy()
-        self._memory, self.last = first_memory(design), None
+        self._memory, self.last = self._law.first(design), None
 
     def tilt(self, turn: list[float], until: float) -> None:
         """Turn every vehicle by a rotation vector (rad, of its body) beyond what it is commanded, until then (s)."""
@@ -57,10 +58,10 @@ class LoadControl:
 
     def fly_load(self, measured: Measurement, reference: Reference) -> Sample:
         """The decision of the law."""
-        after, sample = control_step(self._memory, measured, reference, self._design)
+        after, sample = self._law.step(self._design, self._memory, measured, reference)
         if not math.isfinite(float(sample.A.sum()) + float(sample.f.sum()) + float(sample.R_c.sum())):
             sample = self._as_before(sample)
-            after = first_memory(self._design)
+            after = self._law.first(self._design)
         self._memory, self._R_before, self.last = after, sample.R_c, sample
         return sample
 
@@ -68,7 +69,7 @@ class LoadControl:
         self, measured: Measurement, reference: Reference, i: Observation, goals: Goals, now: float
     ) -> Sample:
         """The decision for every vehicle by itself; errors of the load are still those of `reference`."""
-        _, sample = control_step(self._memory, measured, reference, self._design)
+        _, sample = self._law.step(self._design, self._memory, measured, reference)
         alone = self.singles.fly(self._design, i.x, i.v, i.state.R, goals, self._R_before)
         self._R_before = alone.R_c
         R_c = alone.R_c @ self._tilt if now < self._tilted_until - 1e-9 else alone.R_c
@@ -91,4 +92,4 @@ class LoadControl:
             blank = sample._replace(A=A, R_c=np.tile(np.eye(3), (n, 1, 1)), f=hover, Psi=np.zeros(n))
         else:
             blank = sample._replace(A=before.A, R_c=before.R_c, f=before.f, Psi=before.Psi)
-        return blank._replace(memory=first_memory(self._design))
+        return blank._replace(memory=self._law.first(self._design))

@@ -5,14 +5,14 @@ load is flown (`load_control`). What comes next is up to a script, which asks fo
 them; what goes wrong is up to `protection`.
 """
 
-from collections.abc import Callable, Coroutine, Mapping, Sequence
+from collections.abc import Callable, Coroutine, Sequence
 from typing import Any
 
 import numpy as np
 
 from bridge.fleet.fleet import Fleet
 from bridge.mission.crew.cable_geometry import CableGeometry, yaw_of
-from bridge.mission.crew.members import Members
+from bridge.mission.crew.members import Contingencies, Members
 from bridge.mission.load_control import LoadControl
 from bridge.mission.observation import Observation
 from bridge.mission.phase_table import ACTIONS, Entry
@@ -44,23 +44,13 @@ class Mission:
     """The state of one mission."""
 
     def __init__(
-        self,
-        plan: MissionPlan,
-        fleet: Fleet,
-        designs: Mapping[frozenset[int], Design],
-        filters: Mapping[frozenset[int], Filter],
-        period_s: float,
-        script: Script,
+        self, plan: MissionPlan, fleet: Fleet, planned: Contingencies, period_s: float, script: Script
     ) -> None:
-        """`designs` and `filters` by the vehicles that are lost; those of nobody lost are always among them.
-
-        No filters: everything is measured exactly. Who is lost without a design for it is flown without one.
-        """
         self.plan: MissionPlan = plan
         self.fleet: Fleet = fleet
-        self.crew = Members(designs, filters)
+        self.crew = Members(planned)
         self.progress, self.figures = Progress(period_s), Figures()
-        self.control = LoadControl(self.design, period_s, self.tell)
+        self.control = LoadControl(planned.law, self.design, period_s, self.tell)
         self.failure: str | None = None
         self.finished = False
         self.by_itself = False  # the load is set down with every vehicle by itself

@@ -5,9 +5,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cablequad.control.control_step import Measurement, Sample, control_step, first_memory
+from cablequad.control.control_step import Measurement, Sample
 from cablequad.control.design import Design
 from cablequad.control.geometric import AttitudeCommand
+from cablequad.control.law import SAMPLED, Controller
 from cablequad.control.paper_law import Gains, commands
 from cablequad.control.trajectory import Reference
 from cablequad.model.attitude import Airframe, Setpoint, fly
@@ -44,6 +45,7 @@ def rollout(
     timing: LoopTiming,
     ticks: int,
     real: Mismatch | None = None,
+    law: Controller = SAMPLED,
 ) -> Iterator[Sample]:
     """The samples of ticks 0 .. `ticks`, the state stepped between them by the design's own model or by what is `real`.
 
@@ -56,14 +58,15 @@ def rollout(
     h = timing.period / timing.steps
     state = initial.copy()
     work = scratch(system, state)
-    memory, sample = control_step(first_memory(design), Measurement(0.0, initial, restrained=True), plan(0.0), design)
+    at_start = Measurement(0.0, initial, restrained=True)
+    memory, sample = law.step(design, law.first(design), at_start, plan(0.0))
     for _ in range(HELD_TICKS):
-        memory, sample = control_step(memory, Measurement(0.0, initial, restrained=True), plan(0.0), design)
+        memory, sample = law.step(design, memory, at_start, plan(0.0))
     under_way = [Setpoint.attitude(sample.R_c, real.thrust_scale * sample.f)] * timing.delay
     last = Setpoint.attitude(sample.R_c, real.thrust_scale * sample.f)
     for k in range(ticks + 1):
         t = k * timing.period
-        memory, sample = control_step(memory, Measurement(t, state.copy()), plan(t), design)
+        memory, sample = law.step(design, memory, Measurement(t, state.copy()), plan(t))
         yield sample
         sent = Setpoint.attitude(sample.R_c, real.thrust_scale * sample.f)
         last = last if real.loss > 0.0 and rng.random() < real.loss else sent

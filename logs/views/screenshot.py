@@ -52,6 +52,9 @@ def screenshots(rrd: Path, shots: dict[float, Path], port: int = 9913) -> None:
             viewer.quit()
 
 
+LOCAL = ["--bind", "127.0.0.1"]  # the viewer listens for recordings, of this machine alone
+
+
 def served(port: int) -> list[str]:
     """Arguments of the `rerun` command that serve a recording to browsers on this machine alone."""
-    return ["--serve-web", "--bind", "127.0.0.1", "--web-viewer-port", str(port), "--port", str(port + 1)]
+    return ["--serve-web", *LOCAL, "--web-viewer-port", str(port), "--port", str(port + 1)]

@@ -6,6 +6,8 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from typing import TypeVar
 
+from missions.flight.child_process import without_main
+
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
@@ -15,5 +17,5 @@ def spread(work: Callable[[Item], Result], items: Sequence[Item], workers: int |
     count = min(workers or os.cpu_count() or 1, len(items))
     if count <= 1:
         return [work(item) for item in items]
-    with ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn")) as pool:
+    with without_main(), ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn")) as pool:
         return list(pool.map(work, items))

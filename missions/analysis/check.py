@@ -13,7 +13,8 @@ from cablequad.analysis.certificate import attitude_gains, certify, higher_order
 from cablequad.analysis.margins import WEAK, closed_loop_poles, largest_loss, margins, modes
 from cablequad.analysis.rollout import LoopTiming, rollout
 from cablequad.control.control_step import Sample
-from cablequad.control.design import Design, Weights, continuous_law
+from cablequad.control.design import Design, Weights
+from cablequad.control.law import LAWS
 from cablequad.control.trajectory import Reference, at
 from cablequad.model import lie
 from cablequad.model.controllability import controllable
@@ -116,8 +117,8 @@ def check(flight: Flight, quick: bool, tell: Callable[[str], None] = lambda _: N
 
 
 def _paper_law(flight: Flight, weights: Weights) -> Design:
-    period, delay = flight.control_us * 1e-6, flight.scenario.control.delay_ticks
-    return continuous_law(flight.system, flight.airframe, weights, period, delay)
+    loop = scenarios.designed_for(flight, flight.airframe)
+    return LAWS["paper"].design(flight.system, loop._replace(weights=weights))
 
 
 def _nominal(design: Design, flight: Flight) -> list[Sample]:
@@ -125,7 +126,9 @@ def _nominal(design: Design, flight: Flight) -> list[Sample]:
     period = flight.control_us * 1e-6
     timing = LoopTiming(period, flight.control_us // flight.physics_us, flight.scenario.control.delay_ticks)
     ticks = round(min(10.0, flight.scenario.duration_s) / period)
-    return list(rollout(design, flight.airframe, lambda t: at(flight.trajectory, t), flight.initial, timing, ticks))
+    plan = partial(at, flight.trajectory)
+    law = scenarios.law_of(flight)
+    return list(rollout(design, flight.airframe, plan, flight.initial, timing, ticks, law=law))
 
 
 def _largest_rate(samples: list[Sample], period: float) -> float:
@@ -279,7 +282,8 @@ def _settles(design: Design, flight: Flight, start: State) -> bool:
     timing = LoopTiming(period, flight.control_us // flight.physics_us, flight.scenario.control.delay_ticks)
     target = Reference(np.array(flight.scenario.target.position_m), np.zeros(3))
     last: Sample | None = None
-    for last in rollout(design, flight.airframe, lambda _: target, start, timing, round(SETTLE_S / period)):
+    law, ticks = scenarios.law_of(flight), round(SETTLE_S / period)
+    for last in rollout(design, flight.airframe, lambda _: target, start, timing, ticks, law=law):
         if not np.isfinite(last.e_omega) or last.e_omega > 1e4:
             return False
     return (
@@ -287,6 +291,21 @@ def _settles(design: Design, flight: Flight, start: State) -> bool:
         and float(np.linalg.norm(last.error.x[:3])) < SETTLED_M
         and last.Psi_0 < SETTLED_TILT
         and float(np.linalg.norm(last.error.x_dot[:3])) < SETTLED_M
+    )
+
+
+def summary(result: dict[str, Any]) -> str:
+    """What the page comes to, in a line."""
+    if result["cannot_fly"]:
+        return "cannot fly"
+    c, m = result["closed_loop"], result["margins"]
+    if c["slowest_time_constant_s"] is None:
+        return "unstable as flown"
+    certified = "certified" if result["certificate"]["certified"] else "not certified (which is no verdict: see there)"
+    return (
+        f"stable as flown; {100 * max(result['equilibrium']['thrust_share']):.0f} % of the thrust at hover; stands "
+        f"{m['delay_ms']:.0f} ms of delay at one input and {100 * result['largest_loss']:.0f} % of setpoints lost; "
+        f"{certified}"
     )
 
 
@@ -383,5 +402,10 @@ def _show_certificate(c: dict[str, Any], console: Console) -> None:
     verdict = "certified" if c["certified"] else "not certified for this flight"
     local = "; exponentially stable near the equilibrium" if c["locally_stable"] and not c["certified"] else ""
     console.print(f"[bold]verdict: {verdict}{local}[/bold]")
+    if not c["certified"]:
+        console.print(
+            "  The certificate is sufficient, not necessary: worst-case bounds for every start and motion within its "
+            "radius. Margins and flights say what the loop stands."
+        )
     for line in c.get("advice", []):
         console.print("  - " + line)

@@ -13,6 +13,7 @@ from rich.table import Table
 from missions.analysis.check import check
 from missions.analysis.drills import Drill, compared, drills, flown, in_the_air, rehearsal
 from missions.analysis.margins import measure
+from missions.flight.child_process import without_main
 from missions.flight.run import Options, Progress, run
 from missions.flight.summary import Summary
 from missions.flight.terminal import margin_text
@@ -54,7 +55,8 @@ def preflight(flight: Flight, options: Options, tell: Callable[[str], None]) -> 
     tell("design")
     in_air, ground = in_the_air(flight), rehearsal(flight)
     lines = check(in_air, True, tell)  # before anything flies: what cannot be designed is not flown
-    with ProcessPoolExecutor(os.cpu_count() or 1, multiprocessing.get_context("spawn")) as pool:
+    context = multiprocessing.get_context("spawn")
+    with without_main(), ProcessPoolExecutor(os.cpu_count() or 1, context) as pool:
         try:
             nominal = pool.submit(_nominal, flight, options)
             for drill in drills(flight):

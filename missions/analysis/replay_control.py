@@ -16,7 +16,7 @@ from bridge.loop.time_sync import ClockOffset, TimeSync
 from bridge.mission.phases import FLY
 from bridge.wire.messages import decode
 from bridge.wire.values import Command
-from cablequad.control.control_step import Measurement, control_step, first_memory
+from cablequad.control.control_step import Measurement
 from cablequad.control.design import Design
 from cablequad.control.trajectory import at
 from logs.reading.columns import columns
@@ -78,7 +78,8 @@ def redecide(path: Path) -> Redecided:
 def _follow(path: Path, flight: Flight, design: Design) -> list[bytes]:
     """The decisions of a plan; when it flies and when it was released is taken from the log."""
     observer = StateAssembler(loop_of(flight))
-    memory, after = first_memory(design), []
+    law = scenarios.law_of(flight)
+    memory, after = law.first(design), []
     for told in told_by(path, len(flight.system.m)):
         match told:
             case Frame():
@@ -90,7 +91,7 @@ def _follow(path: Path, flight: Flight, design: Design) -> list[bytes]:
             case pb.ControlState():
                 boot_ms, instant = _instant(path, observer, told)
                 measured = Measurement(told.t, instant.state, restrained=told.phase != FLY)
-                memory, sample = control_step(memory, measured, at(flight.trajectory, told.t), design)
+                memory, sample = law.step(design, memory, measured, at(flight.trajectory, told.t))
                 observer.commanded(boot_ms, sample.R_c, sample.f)
                 tension, age_s = instant.tension.tolist(), instant.age_ms * 1e-3
                 after += encode.controls([boot_ms * 1000], encode.single(sample), [tension], [told.phase], [age_s])

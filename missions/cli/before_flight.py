@@ -31,7 +31,7 @@ def check(
     from rich.console import Console
 
     from missions.analysis.check import check as examine
-    from missions.analysis.check import show
+    from missions.analysis.check import show, summary
     from missions.analysis.drills import in_the_air
     from missions.flight.terminal import telling
     from missions.scenario.loading import ScenarioError
@@ -52,7 +52,8 @@ def check(
     else:
         if result["cannot_fly"]:
             console.print(f"[bold]cannot fly:[/bold] {'; '.join(result['cannot_fly'])}")
-        console.print(f"[bold]{s.name}[/bold], law = {s.control.law}: {s.description}")
+        console.print(f"[bold]{s.name}: {summary(result)}[/bold]")
+        console.print(f"law = {s.control.law}: {s.description}")
         show(result, console)
     if result["cannot_fly"]:
         fail(f"{s.name}: cannot fly: {'; '.join(result['cannot_fly'])}")

@@ -8,14 +8,18 @@ from typing import Annotated, TypeVar
 
 import typer
 
-from missions.cli.exits import FAILED, fail, usage
+from missions.cli.exits import FAILED, fail, make_folder, there, usage
 
 Result = TypeVar("Result")
 
 LogArgument = Annotated[Path, typer.Argument(help="The .mcap log of a run, whole or truncated.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="JSON on stdout, nothing else.")]
 
-log_app = typer.Typer(help="Look into a log, check it, mend it, export it, decide it again.", no_args_is_help=True)
+log_app = typer.Typer(
+    help="Look into a log, check it, mend it, export it, decide it again.",
+    no_args_is_help=True,
+    rich_markup_mode="markdown",
+)
 
 
 @log_app.command("info")
@@ -86,8 +90,7 @@ def log_export(
 
     if form not in ("tlog", "csv", "parquet"):
         usage(f"--format: {form!r} given; write tlog, csv or parquet")
-    if not out.is_dir():
-        usage(f"--out {out}: no such folder; make it first")
+    make_folder(out, "--out")
     written = _of_log(lambda p: export.tlogs(p, out) if form == "tlog" else export.tables(read(p), out, form), run)
     for path in written:
         print(path)
@@ -118,6 +121,7 @@ def _of_log(read: Callable[[Path], Result], run: Path) -> Result:
     """What `read` makes of a log; where it cannot, a line and exit code 1."""
     from logs.reading.reader import LogError
 
+    there(run)
     try:
         return read(run)
     except LogError as error:
@@ -147,9 +151,11 @@ def report(
     from logs.views import video as videos
     from missions.flight.terminal import telling
 
+    there(run)
     folder = out or run.parent
-    if not folder.is_dir():
-        usage(f"--out {folder}: no such folder; make it first")
+    make_folder(folder, "--out")
+    if video is not None:
+        make_folder(video.parent, "--video")
     if not video_speed > 0:
         usage(f"--video-speed: {video_speed} given; a factor above 0 is needed")
 

@@ -1,6 +1,5 @@
 """The `cablequad` command. Heavy imports stand inside the commands, so that help is quick."""
 
-import contextlib
 import io
 import json
 import math
@@ -8,7 +7,7 @@ import signal
 import sys
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Annotated, NoReturn
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -19,6 +18,7 @@ from missions.cli.options import (
     BackendOption,
     ConnectOption,
     FirmwareOption,
+    FreePortOffset,
     JsonOption,
     KeyOption,
     LaunchOption,
@@ -30,20 +30,42 @@ from missions.cli.options import (
     load,
     refuse,
 )
+from missions.cli.replay_command import replay
 
 if TYPE_CHECKING:
     from missions.flight.summary import Summary
+    from missions.scenario.loading import Flight
 
 app = typer.Typer(
     name="cablequad",
     help="Simulate and fly several quadrotors under one load on flexible cables, over MAVLink.",
     no_args_is_help=True,
-    add_completion=False,
+    rich_markup_mode="markdown",  # rich markup would take [plan] for a style, and leave it out
     pretty_exceptions_enable=False,
 )
-scenarios_app = typer.Typer(help="List the shipped scenarios, or show one as a starting point.", no_args_is_help=False)
+scenarios_app = typer.Typer(
+    help="List the shipped scenarios, or show one as a starting point.", rich_markup_mode="markdown"
+)
 app.add_typer(scenarios_app, name="scenarios")
 app.add_typer(log_app, name="log")
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        from importlib.metadata import version
+
+        print(f"cablequad {version('cablequad')}")
+        raise typer.Exit
+
+
+@app.callback()
+def cablequad(
+    version: Annotated[
+        bool, typer.Option("--version", help="Say which version this is.", callback=_version, is_eager=True)
+    ] = False,
+) -> None:
+    """Simulate and fly several quadrotors under one load on flexible cables, over MAVLink."""
+    del version
 
 
 @app.command()
@@ -70,7 +92,7 @@ def fly(
         typer.Option("--live", help="Show the flight in the Rerun viewer that is open on this machine (start: rerun)."),
     ] = False,
     as_json: JsonOption = False,
-    port_offset: PortOffset = 0,
+    port_offset: FreePortOffset = None,
     firmware: FirmwareOption = None,
     configure: Annotated[
         bool,
@@ -126,7 +148,7 @@ def fly(
             ends,
             out,
             pace,
-            port_offset,
+            _offset(flight, port_offset, who == "builtin" and not ends and not in_process),
             configure or not ends,
             key,
             accept_unsigned,
@@ -140,16 +162,17 @@ def fly(
             summary, interrupted = run(flight, options, told)
     except (ScenarioError, LinkError, KeyFileError) as error:
         usage(str(error))
-    if replay and summary.log is not None:
+    if replay and summary.log is not None and summary.flown_s > 0.0:
         summary = _write_replay(summary)
     if as_json:
         print(json.dumps(summary._asdict()))
-    elif summary.log is not None:
+    elif summary.log is not None and summary.flown_s > 0.0:
         _report(summary)
     if interrupted:
         raise typer.Exit(INTERRUPTED)
     if not summary.passed:
-        print(f"cablequad: {summary.scenario}: {summary.reason}", file=sys.stderr)
+        kept = "" if summary.flown_s > 0.0 or summary.log is None else f" (log: {summary.log})"
+        print(f"cablequad: {summary.scenario}: {summary.reason}{kept}", file=sys.stderr)
         raise typer.Exit(FAILED if summary.tested else UNTESTED)
 
 
@@ -242,75 +265,7 @@ def signing_key(file: Annotated[Path, typer.Argument(help="The new file; only yo
     print(file)
 
 
-@app.command()
-def replay(
-    run: Annotated[Path, typer.Argument(help="The .mcap log of a run, whole or truncated.")],
-    other: Annotated[Path | None, typer.Argument(help="A second run, drawn as a ghost beside the first.")] = None,
-    save: Annotated[Path | None, typer.Option(help="Write the replay here instead of opening the viewer.")] = None,
-    screenshot: Annotated[Path | None, typer.Option(help="Save a picture here instead, without a screen.")] = None,
-    at: Annotated[float, typer.Option(help="Time of the picture, in seconds since the release.")] = 0.0,
-    serve: Annotated[bool, typer.Option("--serve", help="Serve it to web browsers on 127.0.0.1 until Ctrl-C.")] = False,
-    port: Annotated[int, typer.Option(help="With --serve: the page's port; the next one carries the data.")] = 9090,
-) -> None:
-    """Open a run in Rerun (two side by side), save it as an .rrd, serve it to a browser, or save a picture of it."""
-    import tempfile
-
-    from logs.reading.reader import LogError, read
-    from logs.views import replay as replays
-
-    with contextlib.ExitStack() as stack:
-        try:
-            loaded = read(run)
-            second = None if other is None else read(other)
-            if save is not None:
-                target = save
-            else:
-                target = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="cablequad-"))) / f"{run.stem}.rrd"
-            if target.parent and not target.parent.is_dir():
-                usage(f"--save {target}: the folder {target.parent} does not exist")
-            replays.save(loaded, target, second)
-        except LogError as error:
-            fail(str(error))
-        for log in (loaded, second):
-            if log is None:
-                continue
-            if not log.complete:
-                print(f"cablequad: {log.path}: the log is cut short; replaying what it holds", file=sys.stderr)
-            for damage in log.damages:
-                print(f"cablequad: {log.path}: {damage.text(log.epoch_ns)}; replaying the rest", file=sys.stderr)
-        if screenshot is not None:
-            from logs.views.screenshot import screenshots
-
-            try:
-                screenshots(target, {at: screenshot})
-            except LogError as error:
-                fail(str(error))
-            print(screenshot)
-        elif save is not None:
-            print(target)
-        else:
-            _view(target, port if serve else None)
-
-
-def _view(target: Path, port: int | None) -> NoReturn:
-    """Open a replay in the viewer, or serve it to browsers from `port` on, until the user has seen enough."""
-    import subprocess
-
-    viewer: list[str | Path] = [Path(sys.executable).parent / "rerun", target]
-    if port is not None:
-        from logs.views.screenshot import served
-
-        viewer += served(port)
-    try:
-        code = subprocess.run(viewer, check=False).returncode
-    except OSError as error:
-        fail(f"the Rerun viewer did not start ({error.strerror}); save the replay with --save and open it elsewhere")
-    except KeyboardInterrupt:
-        code = 0
-    raise typer.Exit(code)
-
-
-for command in (check, margins, preflight, identify, report):
+for command in (replay, check, margins, preflight, identify, report):
     app.command()(command)
 
 
@@ -362,6 +317,18 @@ def main() -> None:
             signal.signal(number, usual)
     print("cablequad: interrupted", file=sys.stderr)
     sys.exit(INTERRUPTED)
+
+
+def _offset(flight: "Flight", asked: int | None, simulated: bool) -> int:
+    """Of the ports: what is asked for, or the first that is free for a flight that is simulated."""
+    if asked is not None or not simulated:
+        return asked or 0
+    from missions.flight.free_ports import free_offset
+
+    found = free_offset(flight)
+    if found:
+        print(f"cablequad: ports are in use; --port-offset {found} is taken", file=sys.stderr)
+    return found
 
 
 def _speed(text: str) -> float:

@@ -11,11 +11,23 @@ if TYPE_CHECKING:
     from missions.flight.simulate import Backend
     from missions.scenario.loading import Flight
 
+FreePortOffset = Annotated[
+    int | None,
+    typer.Option(
+        help="Added to every UDP port; flights 200 apart share none, up to 3600. Where it is not given, a simulated "
+        "flight takes the first that is free.",
+        min=0,
+        max=40000,
+    ),
+]
 ScenarioArgument = Annotated[
     str, typer.Argument(help="A shipped scenario's name, the path of a TOML file, or of a script (.py).")
 ]
 PortOffset = Annotated[
-    int, typer.Option(help="Added to every UDP port, so that several can run at once.", min=0, max=40000)
+    int,
+    typer.Option(
+        help="Added to every UDP port, so that several can run at once: 200 apart, up to 3600.", min=0, max=40000
+    ),
 ]
 SpeedOption = Annotated[
     str, typer.Option(help="max: lockstep, as fast as the machine allows; X: X times real time, without waiting.")

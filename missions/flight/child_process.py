@@ -1,12 +1,32 @@
-"""How a flight's other processes begin."""
+"""How other processes begin."""
 
+import contextlib
 import signal
+import sys
+from collections.abc import Iterator
 from multiprocessing import resource_tracker
 from multiprocessing.process import BaseProcess
 
 
+@contextlib.contextmanager
+def without_main() -> Iterator[None]:
+    """Processes that start meanwhile do not run the program of the user again, as they do to find what it defines.
+
+    A script that flies, without `if __name__ == "__main__"`, would fly in each of them.
+    """
+    main = sys.modules["__main__"]
+    kept = {name: vars(main)[name] for name in ("__file__", "__spec__") if name in vars(main)}
+    try:
+        for name in kept:
+            setattr(main, name, None)
+        yield
+    finally:
+        for name, value in kept.items():
+            setattr(main, name, value)
+
+
 def begin(process: BaseProcess) -> None:
-    """Start `process` deaf to Ctrl-C, which a terminal sends to all: it is this process's to decide what ends.
+    """Start `process` with SIGINT blocked, which a terminal sends to all: it is this process's to decide what ends.
 
     It comes with the interrupt blocked, as it cannot ignore one before its own code runs, and that takes a second to
     load. What interrupts us meanwhile does so once it is told all that it needs.
@@ -19,7 +39,8 @@ def begin(process: BaseProcess) -> None:
         handler = None
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
-        process.start()
+        with without_main():
+            process.start()
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
         if handler is not None:

@@ -29,7 +29,7 @@ from bridge.wire.messages import encode as encode_message
 from bridge.wire.messages import reread
 from bridge.wire.ports import TRACKER_PORTS, vehicle_ports
 from bridge.wire.values import PayloadState, VehicleAttitude
-from cablequad.control.control_step import Measurement, Sample, control_step, first_memory
+from cablequad.control.control_step import Measurement, Sample
 from cablequad.control.design import Design
 from cablequad.control.estimator import Belief, corrected, first_belief, nothing_measured, predicted
 from cablequad.control.single_vehicle import Goals, fly_each, integrated
@@ -428,7 +428,8 @@ def _places(n: int, port_offset: int) -> dict[int, tuple[int, Address]]:
 def _warm_up(design: Design, flight: Flight) -> None:
     """Compile what the loop calls before a clock runs: one decision and the messages it takes."""
     here = at(flight.trajectory, 0.0)
-    _, sample = control_step(first_memory(design), Measurement(0.0, flight.initial), here, design)
+    law = scenarios.law_of(flight)
+    _, sample = law.step(design, law.first(design), Measurement(0.0, flight.initial), here)
     still = sample.state
     reread(encode_message(PayloadState(0, still.x0, still.v0, still.R0, still.Omega0)))
     _ = reread(encode_message(VehicleAttitude.of(0, still.R[0], still.Omega[0]))).R

@@ -40,7 +40,7 @@ def set_up(
     fleet = Fleet(flight.airframe.max_thrust.tolist(), period_s, options)
     if not grounded:
         plan = Plan(lambda t: at(flight.trajectory, t), s.duration_s, flight.trajectory.duration)
-        return FlightSetup(fleet, PlanDecider(plan, fleet, loop, design), loop, None)
+        return FlightSetup(fleet, PlanDecider(plan, fleet, loop, scenarios.law_of(flight), design), loop, None)
     mission = mission_of(flight, fleet, design, script_of(flight, waits))
     return FlightSetup(fleet, MissionDecider(mission, loop, design), loop, mission)
 

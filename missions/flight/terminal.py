@@ -12,6 +12,7 @@ from rich.progress import BarColumn, TaskID, TextColumn
 from rich.progress import Progress as Bar
 from rich.table import Table
 
+from bridge.loop.deciders import PART
 from missions.flight.run import Progress
 from missions.flight.summary import Summary
 
@@ -166,13 +167,17 @@ def table(s: Summary) -> None:
         sign = ">=" if name.startswith("min_") else "<="
         return f"{sign} {asked[name]['limit']:g} {'ok' if asked[name]['holds'] else 'MISSED'}"
 
-    verdict = "passed" if s.passed else "FAILED" if s.tested else "NOT TESTED"
+    failed = "FLOWN IN PART" if s.reason.startswith(PART) else "FAILED"
+    verdict = "passed" if s.passed else failed if s.tested else "NOT TESTED"
     out = Table(title=f"{s.scenario}: {verdict}", title_justify="left", show_header=False)
     out.add_column(style="bold")
     out.add_column(justify="right")
     out.add_column()
     out.add_row("reason", "", s.reason)
-    out.add_row("final position error", _of(s.final_position_error_m, "{:.4f} m"), limit("position_error_m"))
+    set_down = s.max_tension_N is not None
+    name = "last error to its reference" if set_down else "final position error"
+    beside = "led on into the ground when it is set down" if set_down else ""
+    out.add_row(name, _of(s.final_position_error_m, "{:.4f} m"), limit("position_error_m") or beside)
     out.add_row("rms tracking error", _of(s.rms_tracking_error_m, "{:.4f} m"), limit("rms_tracking_error_m"))
     out.add_row("mean error, last 10 s", _of(s.mean_position_error_m, "{:.4f} m"), limit("mean_position_error_m"))
     if (s.link_direction_error_deg or 0.0) > 0.01:
@@ -185,7 +190,7 @@ def table(s: Summary) -> None:
     out.add_row("largest Psi_i", _of(s.max_psi, "{:.4f}"), limit("max_psi"))
     out.add_row("largest thrust", _of(s.max_thrust_N, "{:.2f} N"), limit("max_thrust_N"))
     out.add_row("smallest tension", _of(s.min_tension_N, "{:.2f} N"), limit("min_tension_N"))
-    if s.max_tension_N is not None:
+    if set_down:
         out.add_row("largest tension", _of(s.max_tension_N, "{:.2f} N"), limit("max_tension_N"))
         out.add_row("smallest separation", _of(s.min_separation_m, "{:.2f} m"), limit("min_separation_m"))
         out.add_row("touch-down", _of(s.touch_down_m_s, "{:.3f} m/s"), limit("touch_down_m_s"))

@@ -12,8 +12,9 @@ import numpy as np
 from pydantic import BaseModel, ValidationError
 
 from bridge.wire.link_faults import Faults
-from cablequad.control.design import Design, DesignError, Weights, continuous_law, sampled_law
+from cablequad.control.design import Design, DesignError, Weights
 from cablequad.control.estimator import Estimator, Filter, estimator
+from cablequad.control.law import LAWS, Controller, Loop
 from cablequad.control.trajectory import Limits, Trajectory, along, at, circle, joined, leg, lemniscate, waypoints
 from cablequad.model import lie
 from cablequad.model.attitude import Airframe
@@ -234,12 +235,20 @@ def noise(flight: Flight) -> Noise:
     return Noise(s.position_m, s.velocity_m_s, *degrees)
 
 
+def law_of(flight: Flight) -> Controller:
+    """What decides."""
+    return LAWS[flight.scenario.control.law]
+
+
+def designed_for(flight: Flight, airframe: Airframe) -> Loop:
+    """What its law is designed for, with these vehicles."""
+    return Loop(airframe, weights(flight), flight.control_us * 1e-6, flight.scenario.control.delay_ticks)
+
+
 def design(flight: Flight) -> Design:
     """The controller of a flight. Raises ScenarioError where the system has no equilibrium or no stabilising gains."""
-    c = flight.scenario.control
-    law = continuous_law if c.law == "paper" else sampled_law
     try:
-        return law(flight.system, flight.airframe, weights(flight), flight.control_us * 1e-6, c.delay_ticks)
+        return law_of(flight).design(flight.system, designed_for(flight, flight.airframe))
     except (EquilibriumError, DesignError) as error:
         raise ScenarioError(f"scenario {flight.scenario.name}: {error}") from None
     except (np.linalg.LinAlgError, ArithmeticError) as error:

@@ -3,13 +3,14 @@
 import math
 
 import numpy as np
-from bridge.mission.protection.guards import Guard
 
 from bridge.fleet.fleet import Fleet
+from bridge.mission.crew.members import Contingencies
 from bridge.mission.mission import Mission, Script
 from bridge.mission.phases import ORDER, RULES, Phase
 from bridge.mission.plan import MissionPlan
-from cablequad.control.design import Design, DesignError, sampled_law
+from bridge.mission.protection.guards import Guard
+from cablequad.control.design import Design, DesignError
 from cablequad.control.estimator import Filter, estimator
 from cablequad.control.trajectory import Trajectory
 from cablequad.model.attitude import Airframe
@@ -70,31 +71,31 @@ def _hangs(flight: Flight) -> np.ndarray:
         return np.eye(3)
 
 
-def contingencies(flight: Flight, design: Design) -> tuple[dict[frozenset[int], Design], dict[frozenset[int], Filter]]:
+def contingencies(flight: Flight, design: Design) -> Contingencies:
     """Designs and filters by the vehicles lost, at most one; who cannot be spared is not among them."""
     blur = scenarios.filter(flight)
     designs: dict[frozenset[int], Design] = {frozenset(): design}
     filters: dict[frozenset[int], Filter] = {} if blur is None else {frozenset(): blur}
-    whole, s = flight.system, flight.scenario
+    whole, s, law = flight.system, flight.scenario, scenarios.law_of(flight)
     n = len(whole.m)
     if n == 1 or s.mission is None or not s.mission.protect:
-        return designs, filters
+        return Contingencies(law, designs, filters)
     period = flight.control_us * 1e-6
     for i in range(n):
         rest = [k for k in range(n) if k != i]
         system = without(whole, [i])
         air = Airframe(*(np.ascontiguousarray(field[rest]) for field in flight.airframe))
         try:
-            law = sampled_law(system, air, scenarios.weights(flight), period, s.control.delay_ticks)
+            spared = law.design(system, scenarios.designed_for(flight, air))
             seen = (
                 estimator(system, air, period, s.control.sensing, scenarios.noise(flight)) if blur is not None else None
             )
         except (DesignError, EquilibriumError, np.linalg.LinAlgError):
             continue
-        designs[frozenset({i})] = law
+        designs[frozenset({i})] = spared
         if seen is not None:
             filters[frozenset({i})] = seen.filter
-    return designs, filters
+    return Contingencies(law, designs, filters)
 
 
 def plan_of(flight: Flight) -> MissionPlan:
@@ -159,7 +160,8 @@ def guards(flight: Flight) -> tuple[Guard, ...]:
 def mission_of(flight: Flight, fleet: Fleet, design: Design, script: Script = usual) -> Mission:
     """The mission of a flight, ready to be flown."""
     plan = plan_of(flight)
-    designs, filters = contingencies(flight, design)
+    planned = contingencies(flight, design)
     if not plan.protect:  # nothing finds out what lasts, either
-        designs = {lost: d._replace(integrated=0.0 * d.integrated) for lost, d in designs.items()}
-    return Mission(plan, fleet, designs, filters, flight.control_us * 1e-6, script)
+        blind = {lost: d._replace(integrated=0.0 * d.integrated) for lost, d in planned.designs.items()}
+        planned = planned._replace(designs=blind)
+    return Mission(plan, fleet, planned, flight.control_us * 1e-6, script)

@@ -1,20 +1,32 @@
 """Who still flies: the vehicles that are left, and the design, filter and cables of just those."""
 
 from collections.abc import Iterator, Mapping
+from typing import NamedTuple
 
 from bridge.mission.crew.cable_geometry import CableGeometry
 from bridge.mission.crew.fleet_subset import bare, blind
 from cablequad.control.design import Design
 from cablequad.control.estimator import Filter
+from cablequad.control.law import Controller
+
+
+class Contingencies(NamedTuple):
+    """The law, and its designs and filters by the vehicles that are lost; those of nobody lost are always there.
+
+    No filters: everything is measured exactly. Who is lost without a design for it is flown without one.
+    """
+
+    law: Controller
+    designs: Mapping[frozenset[int], Design]
+    filters: Mapping[frozenset[int], Filter]
 
 
 class Members:
     """The vehicles of a mission that are not lost, by their numbers from 0."""
 
-    def __init__(self, designs: Mapping[frozenset[int], Design], filters: Mapping[frozenset[int], Filter]) -> None:
-        """`designs` and `filters` by the vehicles that are lost; who is lost without a design is flown without one."""
-        self._designs, self.filters = designs, dict(filters)
-        self.design = self.whole = designs[frozenset()]
+    def __init__(self, planned: Contingencies) -> None:
+        self._designs, self.filters = planned.designs, dict(planned.filters)
+        self.design = self.whole = planned.designs[frozenset()]
         self.left = list(range(len(self.whole.system.m)))
         self.lost: dict[int, str] = {}  # why
         self._fates: dict[int, str] = {}  # what became of those that are lost
