@@ -16,10 +16,6 @@ COMPILED = "compiled code takes no values by keyword"
 
 LARGE = {  # function or class: why
     "bridge/fleet/fleet.py:Fleet": APART,
-    "bridge/loop/fly.py:_Flight": APART,
-    "bridge/loop/fly.py:_Flight.__init__": APART,
-    "bridge/loop/fly.py:_Flight.step": APART,
-    "bridge/loop/fly.py:fly": APART,
     "bridge/loop/state_assembly.py:StateAssembler": APART,
     "bridge/wire/batches.py:_framed": COMPILED,
     "cablequad/environment/untethered.py:fly_untethered": COMPILED,
@@ -34,8 +30,6 @@ LARGE = {  # function or class: why
     "missions/cli/before_flight.py:identify": OPTIONS,
     "missions/cli/main.py:fly": OPTIONS,
     "missions/cli/main.py:sitl": OPTIONS,
-    "missions/flight/run.py:_fly": APART,
-    "missions/flight/run.py:_run": APART,
     "missions/flight/serve.py:serve": APART,
     "missions/flight/terminal.py:table": TABLE,
     "missions/flight/summary.py:summarize": APART,
@@ -57,7 +51,7 @@ LAYOUTS = {
 }  # bytes and rows in their order  # fmt: skip
 CALLS = {
     "fly", "advance_on", "commands", "fly_each", "fly_untethered", "_framed", "_corner", "_push", "_design",
-    "_ardupilot", "_advice", "rollout", "summarize", "__init__", "snapshot", "_Flight", "_fly",
+    "_ardupilot", "_advice", "rollout", "summarize", "__init__", "snapshot", "_fly",
 }  # compiled code, and what is to be taken apart  # fmt: skip
 
 

@@ -31,7 +31,7 @@ from bridge.wire.values import AttitudeTarget, CableShape, PayloadState, Vehicle
 from cablequad.model import lie
 from cablequad.model.instant import row
 from cablequad.model.state import State
-from missions.flight import simulate
+from missions.flight.processes import simulate
 from missions.flight.recording.log_process import LogProcess
 from missions.flight.run import Options, Progress, run
 from missions.scenario import loading as scenarios

@@ -12,7 +12,8 @@ from numba.core.dispatcher import Dispatcher
 
 from bridge.wire.link import Received
 from bridge.wire.values import AttitudeTarget
-from missions.flight import run, simulate
+from missions.flight import run
+from missions.flight.processes import simulate
 from missions.scenario import loading as scenario
 from sitl.server import Server
 

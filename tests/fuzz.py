@@ -22,7 +22,7 @@ from dialects import absurd_fields
 
 from bridge.wire.dialect import mavlink
 from bridge.wire.frames import Packed, Signer, checksum, frame
-from missions.flight.simulate import Serving, settings
+from missions.flight.processes.simulate import Serving, settings
 from missions.scenario import loading as scenarios
 from sitl.server import Server
 

@@ -36,7 +36,7 @@ from cablequad.model.earth import Home
 from logs.reading.reader import Run, read
 from logs.schema import cablequad_pb2 as pb
 from missions.analysis.identify import answers, fitted
-from missions.flight.launch import (
+from missions.flight.processes.launch import (
     arducopter_values,
     authority,
     launches,
@@ -45,7 +45,7 @@ from missions.flight.launch import (
     start_lines,
     started_with,
 )
-from missions.flight.simulate import Serving, settings
+from missions.flight.processes.simulate import Serving, settings
 from missions.scenario import loading as scenarios
 from missions.scenario.autopilots import behind
 from missions.scenario.loading import ScenarioError

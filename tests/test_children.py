@@ -9,7 +9,7 @@ import pytest
 
 from missions.cli import main as cli
 from missions.cli.exits import INTERRUPTED
-from missions.flight.child_process import begin
+from missions.flight.processes.child_process import begin
 
 
 def test_what_interrupts_the_start_of_a_process_waits_until_it_has_begun() -> None:

@@ -14,7 +14,7 @@ from cablequad.model.noise import Noise
 from logs.reading.reader import read
 from logs.reading.records import entries
 from logs.schema import cablequad_pb2 as pb
-from missions.flight.simulate import Serving, settings
+from missions.flight.processes.simulate import Serving, settings
 from missions.scenario import loading as scenarios
 from sitl.batteries import Batteries, Battery
 from sitl.firmware.telemetry import Snapshot

@@ -122,7 +122,7 @@ def test_a_simulator_that_never_goes_on_ends_a_flight_untested(tmp_path: Path) -
     assert code == 3, out + err
     assert "not tested: the simulator stands still at t = " in err
     assert "stall: nothing from the simulator" in err
-    assert "NOT TESTED" in out
+    assert "NOT TESTED" in out or out == ""  # no table where nothing was flown yet
 
 
 def test_a_port_in_use_is_no_verdict_on_the_flight(tmp_path: Path, offset: int) -> None:

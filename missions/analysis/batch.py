@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from typing import TypeVar
 
-from missions.flight.child_process import without_main
+from missions.flight.processes.child_process import without_main
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")

@@ -13,7 +13,7 @@ from rich.table import Table
 from missions.analysis.check import check
 from missions.analysis.drills import Drill, compared, drills, flown, in_the_air, rehearsal
 from missions.analysis.margins import measure
-from missions.flight.child_process import without_main
+from missions.flight.processes.child_process import without_main
 from missions.flight.run import Options, Progress, run
 from missions.flight.summary import Summary
 from missions.flight.terminal import margin_text

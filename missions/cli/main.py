@@ -172,7 +172,8 @@ def fly(
         raise typer.Exit(INTERRUPTED)
     if not summary.passed:
         kept = "" if summary.flown_s > 0.0 or summary.log is None else f" (log: {summary.log})"
-        print(f"cablequad: {summary.scenario}: {summary.reason}{kept}", file=sys.stderr)
+        untold = not summary.tested and not summary.reason.startswith("not tested")
+        print(f"cablequad: {summary.scenario}: {'not tested: ' * untold}{summary.reason}{kept}", file=sys.stderr)
         raise typer.Exit(FAILED if summary.tested else UNTESTED)
 
 
@@ -200,8 +201,8 @@ def sitl(
     """Serve the scenario's vehicles and payload tracker until Ctrl-C."""
     from bridge.wire.link import LinkError
     from bridge.wire.signing_keys import KeyFileError, read_key
+    from missions.flight.processes.simulate import Serving
     from missions.flight.serve import serve
-    from missions.flight.simulate import Serving
     from missions.scenario.loading import ScenarioError
     from sitl.external.joint import AutopilotError
     from sitl.plant import PhysicsError
@@ -323,7 +324,7 @@ def _offset(flight: "Flight", asked: int | None, simulated: bool) -> int:
     """Of the ports: what is asked for, or the first that is free for a flight that is simulated."""
     if asked is not None or not simulated:
         return asked or 0
-    from missions.flight.free_ports import free_offset
+    from missions.flight.processes.free_ports import free_offset
 
     found = free_offset(flight)
     if found:

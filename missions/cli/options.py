@@ -8,7 +8,7 @@ import typer
 from missions.cli.exits import fail, usage
 
 if TYPE_CHECKING:
-    from missions.flight.simulate import Backend
+    from missions.flight.processes.simulate import Backend
     from missions.scenario.loading import Flight
 
 FreePortOffset = Annotated[
@@ -91,7 +91,7 @@ def load(
     flight = read(scenario, duration, seed, None if firmware == "auto" else firmware, script, external or connected)
     if not external:
         return flight
-    from missions.flight.simulate import kinds
+    from missions.flight.processes.simulate import kinds
     from missions.scenario.autopilots import behind
 
     return behind(flight, kinds(flight, backend))
@@ -99,7 +99,7 @@ def load(
 
 def backend(name: str, firmware: str | None, launch: Path | None) -> "Backend":
     """The backend that is asked for; ends as usage where there is no such thing, or it contradicts the rest."""
-    from missions.flight.simulate import BACKENDS, KINDS
+    from missions.flight.processes.simulate import BACKENDS, KINDS
 
     if name not in BACKENDS:
         usage(f"--backend: {name!r} given; write {', '.join(BACKENDS[:-1])} or {BACKENDS[-1]}")

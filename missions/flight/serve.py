@@ -10,8 +10,8 @@ from rich.console import Console
 from rich.table import Table
 
 from bridge.wire.ports import vehicle_ports
-from missions.flight.launch import Autopilots, launches, start_lines
-from missions.flight.simulate import Serving, kinds, server_of, settings
+from missions.flight.processes.launch import Autopilots, launches, start_lines
+from missions.flight.processes.simulate import Serving, kinds, server_of, settings
 from missions.flight.terminal import telling
 from missions.scenario.loading import Flight
 from sitl.addresses import places, tracker_endpoints

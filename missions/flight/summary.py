@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bridge.loop.fly import Outcome, TickStatistics
+from bridge.loop.fly import Outcome
+from bridge.loop.tick_timing import TickStatistics
 from cablequad.control.control_step import Sample
 from missions.scenario.metrics import Followed, Following, Grounded
 from missions.scenario.tables import AcceptanceTable

@@ -28,7 +28,7 @@ from cablequad.model.state import State, differences
 from logs.writing import encode
 from logs.writing.encode import Model
 from logs.writing.recorder import FLUSH_S, Attachment, Recorder, RecorderError
-from missions.flight.child_process import begin
+from missions.flight.processes.child_process import begin
 from missions.flight.recording.idle_scheduler import in_gaps
 from missions.flight.recording.ipc import put_sample, sample_shapes
 from missions.flight.recording.merge import Judged, Merge

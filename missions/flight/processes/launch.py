@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from bridge.wire.ports import vehicle_ports
 from cablequad.model.earth import Home
-from missions.flight.simulate import Backend, joint_steps, kinds
+from missions.flight.processes.simulate import Backend, joint_steps, kinds
 from missions.scenario.loading import Flight, ScenarioError, parameters_of
 from sitl.external.ardupilot import MOTORS
 

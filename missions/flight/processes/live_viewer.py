@@ -5,7 +5,7 @@ import os
 import signal
 from pathlib import Path
 
-from missions.flight.child_process import begin
+from missions.flight.processes.child_process import begin
 
 
 def _child(part: Path, parent: int) -> None:

@@ -18,7 +18,7 @@ from bridge.loop.fly import STALL_S
 from bridge.wire.link import LinkError
 from cablequad.model.earth import Home
 from cablequad.model.noise import Biases
-from missions.flight.child_process import begin
+from missions.flight.processes.child_process import begin
 from missions.flight.recording.ipc import PortsOpen, SimulatorFailure, Status, put
 from missions.scenario import loading as scenarios
 from missions.scenario.loading import Flight, ScenarioError
