@@ -31,7 +31,6 @@ LARGE = {  # function or class: why
     "missions/cli/main.py:fly": OPTIONS,
     "missions/cli/main.py:sitl": OPTIONS,
     "missions/flight/serve.py:serve": APART,
-    "missions/flight/terminal.py:table": TABLE,
     "missions/flight/summary.py:summarize": APART,
     "missions/scenario/loading.py:flight_of": APART,
     "sitl/external/joint.py:JointServer": APART,

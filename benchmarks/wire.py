@@ -21,13 +21,13 @@ from rich.console import Console
 from rich.table import Table
 
 from bridge.fleet.fleet import Fleet
-from bridge.loop import deciders as decide
 from bridge.loop.state_assembly import StateAssembler
 from bridge.wire.dialect import mavlink
 from bridge.wire.frames import frame
 from bridge.wire.link import Link
 from bridge.wire.messages import decode, encode
 from bridge.wire.values import AttitudeTarget, CableShape, PayloadState, VehicleAttitude, VehiclePosition
+from cablequad.control.law import StateFeedback
 from cablequad.model import lie
 from cablequad.model.instant import row
 from cablequad.model.state import State
@@ -150,7 +150,7 @@ BRIDGE = [
     (Link, "_split", "codec"),
     (StateAssembler, "feed", "observe"),
     (StateAssembler, "estimate", "observe"),
-    (decide, "control_step", "control"),
+    (StateFeedback, "step", "control"),
     (Fleet, "setpoints", "codec"),
     (Fleet, "due", "protocol"),
     (Fleet, "feed", "protocol"),

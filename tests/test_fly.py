@@ -404,7 +404,7 @@ def test_case_2_reports_slack_with_time_and_cable(tmp_path: Path, offset: int) -
     run = read(Path(summary["log"]))
     slack = [e for e in run.events if e.kind == "slack"]
     assert slack
-    assert all(e.subject.startswith("cable ") and "pushes with" in e.text for e in slack)
+    assert all(e.subject.startswith("cable ") and ("pushes with" in e.text or "curled" in e.text) for e in slack)
     assert any(e.kind == "taut" for e in run.events)
     plant = run.columns["/plant/state"]
     end_ns = next(e.time_ns for e in run.events if e.kind == "end")

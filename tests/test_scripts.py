@@ -78,11 +78,11 @@ class Kinematics:
         self.now += self.period
         x0 = self.state.x0.copy()
         if m.phase in LOADED:
-            x0 = np.minimum(np.asarray(m._reference().x0), [np.inf, np.inf, self.plan.rest_z])
+            x0 = np.minimum(np.asarray(m.reference.x0), [np.inf, np.inf, self.plan.rest_z])
             self.state = self.state._replace(x0=x0)
-            self.x = m._geometry.above(self.state, 1.0)
+            self.x = m.geometry.above(self.state, 1.0)
         elif m.phase in FLYING:
-            self.x = np.minimum(m._singles.aim, [np.inf, np.inf, self.floor])
+            self.x = np.minimum(m.control.singles.aim, [np.inf, np.inf, self.floor])
         self.fleet.stands = bool((self.x[:, 2] > self.floor - 0.02).all())
 
     def fly(self) -> Mission:

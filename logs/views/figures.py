@@ -20,6 +20,8 @@ PAPER_TIMES = (0.0, 0.14, 0.30, 0.68, 1.10, 1.36, 1.98, 3.48, 10.0)  # s: the pa
 ERRORS = ("e_x0", "e_v0", "e_Omega", "Psi_0", "e_q", "e_w")
 WIDTH = 10.5  # inches
 COLUMN = 1.75  # inches, of a snapshot
+SETTLES_S = 10.0  # most of what is worth a snapshot on the way to one place
+MEAN_S, LONG_S = 0.2, 20.0  # of curves that are as long: means, and what they are means of
 
 
 def _tint(i: int) -> tuple[float, float, float]:
@@ -52,7 +54,7 @@ def histories(run: Run) -> Figure:
     twin = ax.twinx()
     twin.plot(t, c["e_w"], color=AXES[2], linewidth=0.9, linestyle="--", label="$e_\\omega$ [rad/s]")
     twin.set_ylabel("link rates $e_\\omega$ [rad/s]")
-    ax.legend(handles=[ax.lines[0], twin.lines[0]], loc="upper right", fontsize=8)
+    ax.legend(handles=[ax.lines[0], twin.lines[0]], loc="best", fontsize=8)
     for ax in grid[3]:
         ax.set_xlabel("time since the release [s]")
     for ax in grid.ravel():
@@ -65,8 +67,8 @@ def tensions(run: Run) -> Figure:
     """What the cables and the links to the vehicles carried: tensions, slack, frames that came. Raises LogError."""
     c, t = _flown(run)
     m = motion_of(run, 250.0)
-    figure = Figure(figsize=(WIDTH, 6.0), layout="constrained")
-    grid = figure.subplots(2, 2, sharex=True)
+    figure = Figure(figsize=(WIDTH, 8.6), layout="constrained")
+    grid = figure.subplots(3, 2, sharex=True)
     own = (m.t >= 0) & (m.t <= t[-1])
     _vehicles(grid[0, 0], m.t[own], m.tension[own].max(axis=2), "largest tension in a cable [N]")
     _vehicles(grid[0, 1], m.t[own], m.tension[own].min(axis=2), "smallest tension in a cable [N]")
@@ -74,11 +76,11 @@ def tensions(run: Run) -> Figure:
     grid[0, 1].annotate("below: slack", (0.99, 0.02), xycoords="axes fraction", ha="right", fontsize=8, color="#d55e00")
     limit = np.array(m.model["max_thrust_N"])
     _vehicles(grid[1, 0], m.t[own], 100 * m.thrust[own] / limit, "thrust, share of the limit [%]")
-    grid[1, 1].plot(t, 1e3 * c["state_age"], color="0.15", linewidth=0.9)
-    grid[1, 1].set_ylabel("age of the state used [ms]")
-    oldest = max(1.0, 1.1e3 * float(c["state_age"].max()))
-    grid[1, 1].set_ylim(-0.05 * oldest, oldest)  # a line at 0 is seen as well
-    for ax in grid[1]:
+    grid[1, 1].plot(m.t[own], -m.x0[own, 2], color="0.15", linewidth=1.2, label="load")
+    _vehicles(grid[1, 1], m.t[own], -m.quads[own, :, 2], "height, up [m]")
+    _separation(grid[2, 0], m.t[own], m.quads[own])
+    _age(grid[2, 1], t, 1e3 * c["state_age"])
+    for ax in grid[2]:
         ax.set_xlabel("time since the release [s]")
     for ax in grid.ravel():
         ax.grid(alpha=0.25)
@@ -86,15 +88,45 @@ def tensions(run: Run) -> Figure:
     return figure
 
 
+def _separation(ax: Axes, t: Array, x: Array) -> None:
+    """Of the two vehicles that are closest."""
+    n = x.shape[1]
+    ax.set_ylabel("smallest separation [m]")
+    if n < 2:
+        ax.annotate("one vehicle", (0.5, 0.5), xycoords="axes fraction", ha="center", color="0.4")
+        return
+    pairs = [np.linalg.norm(x[:, a] - x[:, b], axis=1) for a in range(n) for b in range(a + 1, n)]
+    ax.plot(t, np.min(pairs, axis=0), color="0.15", linewidth=1.1)
+    ax.set_ylim(bottom=0.0)
+
+
+def _age(ax: Axes, t: Array, age_ms: Array) -> None:
+    ax.set_ylabel("age of the state used [ms]")
+    if not age_ms.any():
+        ax.set_yticks([])
+        said = "every state was measured as a whole: age 0"
+        ax.annotate(said, (0.5, 0.5), xycoords="axes fraction", ha="center", color="0.4")
+        return
+    ax.plot(t, age_ms, color="0.15", linewidth=0.9)
+    oldest = 1.1 * float(age_ms.max())
+    ax.set_ylim(-0.05 * oldest, oldest)  # a line at 0 is seen as well
+
+
+def _chosen(run: Run, last: float) -> list[float]:
+    """Nine times, s: all over a mission; crowded towards the release of a flight to one place."""
+    if any(e.kind == "phase" for e in run.events) or last > 2.0 * SETTLES_S:
+        return [round(s, 2) for s in np.linspace(0.0, last, 9).tolist()]
+    return [round(s, 2) for s in (min(SETTLES_S, last) * np.linspace(0, 1, 9) ** 2).tolist()]
+
+
 def snapshots(run: Run, times: Sequence[float] | None = None) -> Figure:
     """The paper's Figures 3 and 5: the system at chosen times (s since the release) in space, from the side and above.
 
-    Without `times` nine of them, crowded towards the release. Raises LogError.
+    Without `times` nine of them: all over a mission, else crowded towards the release. Raises LogError.
     """
     m = motion_of(run, 250.0)
     last = float(m.t[-1])
-    crowded = (min(10.0, last) * np.linspace(0, 1, 9) ** 2).tolist()
-    chosen = list(times) if times is not None else [round(s, 2) for s in crowded]
+    chosen = list(times) if times is not None else _chosen(run, last)
     chosen = [s for s in chosen if s <= last + 0.05] or [0.0]
     rows = [int(np.argmin(np.abs(m.t - s))) for s in chosen]
     low = m.nodes[rows].reshape(-1, 3).min(axis=0) - 0.25
@@ -178,9 +210,21 @@ def _three(ax: Axes, t: Array, values: Array, wanted: Array | None, names: Seque
 
 def _vehicles(ax: Axes, t: Array, values: Array, label: str) -> None:
     for i in range(values.shape[1]):
-        ax.plot(t, values[:, i], color=_tint(i), linestyle=STYLES[i % len(STYLES)], linewidth=1.0, label=f"{i + 1}")
+        at, mean = t, values[:, i]
+        if len(t) > 1 and t[-1] - t[0] > LONG_S:
+            at, least, mean, most = _bins(t, values[:, i])
+            ax.fill_between(at, least, most, color=_tint(i), alpha=0.15, linewidth=0.0)
+        ax.plot(at, mean, color=_tint(i), linestyle=STYLES[i % len(STYLES)], linewidth=1.0, label=f"{i + 1}")
     ax.set_ylabel(label)
     ax.legend(fontsize=8, ncols=2, title="vehicle", title_fontsize=8, loc="best")
+
+
+def _bins(t: Array, values: Array) -> tuple[Array, Array, Array, Array]:
+    """Times, least, mean and greatest of `values` in stretches of MEAN_S; the rest of the last one is left out."""
+    size = max(1, round(MEAN_S * (len(t) - 1) / float(t[-1] - t[0])))
+    whole = len(t) // size * size
+    parts = values[:whole].reshape(-1, size)
+    return t[:whole].reshape(-1, size).mean(axis=1), parts.min(axis=1), parts.mean(axis=1), parts.max(axis=1)
 
 
 def _box(m: MotionHistory, row: int) -> Array:

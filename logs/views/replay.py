@@ -1,6 +1,7 @@
 """Columns -> Rerun: a scene and plots that answer where the load is against the plan, which cable pulls how much, which
 vehicle is near its limit, and what happened when."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from cablequad.types import Array
-from logs.reading.reader import Run, frame_headers, missing_before
+from logs.reading.reader import Happening, Run, frame_headers, missing_before
 from logs.views.motion import MotionHistory, motion_of, rotate, shade, thin
 from logs.writing.encode import ALARMING, color
 
@@ -16,8 +17,17 @@ TIMELINE = "sim_time"
 PLOT_HZ = 250.0
 N_PER_M = 14.0  # thrust arrows: newtons a metre
 ARM = 0.17  # m
-AXES = [(213, 94, 0), (0, 158, 115), (0, 114, 178)]  # x, y, z
-FAINT = [(240, 180, 140), (150, 210, 190), (150, 190, 225)]  # their targets
+AXES = [(230, 110, 20), (0, 178, 130), (60, 150, 235)]  # x, y, z
+REFERENCE = [(120, 120, 120)] * 3  # wide and grey, under the curves
+WIDE = 5.0
+LANES = {"slack": (204, 121, 167), "taut": (0, 120, 90)}
+PHASES = {
+    "prepare": (90, 90, 100), "preflight": (110, 90, 130), "arm": (150, 90, 60), "take off": (30, 130, 150),
+    "tension": (120, 100, 80), "lift": (40, 110, 190), "carry": (120, 60, 150), "fly": (120, 60, 150),
+    "set down": (190, 140, 40), "release": (70, 140, 70), "land": (180, 70, 60), "disarm": (80, 90, 120),
+    "hold": (90, 90, 100),
+}  # fmt: skip
+CARRIED_FROM, CARRIED_TO = "lift", "release"  # phases between which a slack cable is worth a warning
 SLACK = (255, 0, 255)
 ASKED_M = 0.45  # length of a commanded thrust axis
 GHOST = "'"  # marks the curves of a second run
@@ -75,14 +85,14 @@ def layout(m: MotionHistory) -> rrb.Blueprint:
 
     def plot(name: str, *entities: str) -> rrb.TimeSeriesView:
         return rrb.TimeSeriesView(
-            name=name, origin="/plots", contents=list(entities), plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop)
+            name=name, origin="/plots", contents=list(entities), plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop)
         )
 
     plots = rrb.Grid(
-        plot("payload position and target [m]", "/plots/position/**"),
-        plot("payload velocity and target [m/s]", "/plots/velocity/**"),
-        plot("thrust f_i and limit [N]", "/plots/thrust/**"),
-        plot("tension at the load, smallest of all links [N]", "/plots/tension/**"),
+        plot("payload position, reference grey [m, NED]", "/plots/position/**"),
+        plot("payload velocity, reference grey [m/s, NED]", "/plots/velocity/**"),
+        plot(f"thrust f_i [N], limit {min(m.model['max_thrust_N']):g} N", "/plots/thrust/**"),
+        plot("tension at the load, smallest of all links grey [N]", "/plots/tension/**"),
         plot("vehicle attitude error Psi_i [-]", "/plots/psi/**"),
         plot("payload attitude error Psi_0 [-]", "/plots/psi_0/**"),
         plot("link errors e_q [-], e_omega [rad/s]", "/plots/links/**"),
@@ -96,11 +106,30 @@ def layout(m: MotionHistory) -> rrb.Blueprint:
         plot("estimate less truth: load [cm], links [deg]", "/plots/estimate/**"),
         name="wire and estimate",
     )
+    pilot = rrb.Grid(
+        plot("height, up [m]", "/plots/height/**"),
+        plot("load's distance to its target [m]", "/plots/distance/**"),
+        plot("tilt [deg]", "/plots/tilt/**"),
+        plot("separation of the two closest vehicles [m]", "/plots/separation/**"),
+        rrb.Spatial3DView(
+            origin="/world",
+            name="from above (north is up)",
+            background=rrb.Background(color=(18, 20, 28)),
+            eye_controls=rrb.EyeControls3D(
+                position=middle + np.array([0.0, 0.0, -1.0 * max(3.0, float(np.linalg.norm(size)))]),
+                look_target=middle,
+                eye_up=(1.0, 0.0, 0.0),
+            ),
+        ),
+        rrb.TextDocumentView(name="key", origin="/key"),
+        grid_columns=2,
+        name="pilot",
+    )
     phases = rrb.StateTimelineView(name="phases", origin="/", contents=["/phases/**", "/slack/**"])
     return rrb.Blueprint(
         rrb.Horizontal(
-            rrb.Vertical(scene, phases, row_shares=[5, 1.3]),
-            rrb.Tabs(plots, wire),
+            rrb.Vertical(scene, phases, row_shares=[5.0, 0.55 + 0.27 * (1 + len(m.model["n_links"]))]),
+            rrb.Tabs(plots, pilot, wire),
             column_shares=[5, 6],
         ),
         rrb.TimePanel(state="collapsed", timeline=TIMELINE, playback_speed=1.0),
@@ -108,8 +137,34 @@ def layout(m: MotionHistory) -> rrb.Blueprint:
     )
 
 
+KEY = """
+| what | means |
+|---|---|
+| cable, dark to bright | tension of each link, from 0 to the largest of the run |
+| cable, magenta and thick | a link that pushes: the cable is slack |
+| coloured arrow on a vehicle | its thrust, {newtons:g} N a metre |
+| thin white arrow, thin white cable | what was commanded, what the controller took the cable to be |
+| bright nose | the front of a vehicle |
+| white arrow at the beginning | north, one metre long |
+| green box | the target of the load |
+| blue-grey line | where the load has been |
+"""
+
+
+def _key(out: rr.RecordingStream, m: MotionHistory) -> None:
+    """What colours and lines mean, north, and a metre."""
+    out.log("key", rr.TextDocument(KEY.format(newtons=N_PER_M), media_type="text/markdown"), static=True)
+    ground = m.model.get("ground_z_m")
+    start = m.x0[0] + np.array([0.0, 0.0, 0.0 if ground is None else float(ground) - m.x0[0, 2]])
+    north = rr.Arrows3D(
+        vectors=[(1, 0, 0)], origins=[start], colors=[(235, 235, 235)], radii=[0.012], labels=["north, 1 m"]
+    )
+    out.log("world/north", north, static=True)
+
+
 def _bodies(out: rr.RecordingStream, m: MotionHistory) -> None:
     when, model = [_time(m.t)], m.model
+    _key(out, m)
     out.log("world", rr.ViewCoordinates.FRD, static=True)
     half = 0.5 * np.array(model["box_m"])
     out.log("world/payload/box", rr.Boxes3D(half_sizes=[half], colors=[(86, 116, 190)], fill_mode="solid"), static=True)
@@ -135,6 +190,8 @@ def _bodies(out: rr.RecordingStream, m: MotionHistory) -> None:
         rgb = color(i)
         tips = np.concatenate(_arms())
         out.log(f"{name}/arms", rr.LineStrips3D(_arms(), colors=[rgb], radii=[0.012]), static=True)
+        nose = rr.LineStrips3D([[(0, 0, 0), (ARM, 0, 0)]], colors=[(245, 245, 245)], radii=[0.012])
+        out.log(f"{name}/nose", nose, static=True)
         out.log(
             f"{name}/rotors",
             rr.Ellipsoids3D(
@@ -238,14 +295,14 @@ def _plots(out: rr.RecordingStream, run: Run, m: MotionHistory, mark: str) -> No
         series("position/is", t, x, [f"{a}{mark}" for a in "xyz"], axes)
         series("velocity/is", t, v, [f"v{a}{mark}" for a in "xyz"], axes)
         if not mark:
-            series("position/target", t, x - e_x, ["x target", "y target", "z target"], FAINT)
-            series("velocity/target", t, v - e_v, ["vx target", "vy target", "vz target"], FAINT)
+            wide = [WIDE] * 3  # "asked" sorts before "is", and what comes first is drawn below
+            _series(out, "plots/position/asked", t, x - e_x, [f"reference {a}" for a in "xyz"], REFERENCE, widths=wide)
+            _series(out, "plots/velocity/asked", t, v - e_v, [f"reference {a}" for a in "xyz"], REFERENCE, widths=wide)
         series("thrust/commanded", t, control["thrust"][rows], [f"f_{k}" for k in vehicles], tints)
         series("psi/vehicles", t, control["Psi"][rows], [f"Psi_{k}" for k in vehicles], tints)
         series("psi_0/load", t, control["Psi_0"][rows][:, None], [f"Psi_0{mark}"], [(120, 150, 230)])
         links = np.stack([control["e_q"][rows], control["e_w"][rows]], axis=1)
         series("links/errors", t, links, [f"e_q{mark}", f"e_omega{mark}"], [axes[0], axes[2]])
-        series("tension/load", t, control["tension"][rows], [f"T_{k}" for k in vehicles], tints)
         series("age/state", t, 1e3 * control["state_age"][rows][:, None], [f"age of the state{mark}"], [(213, 94, 0)])
     off = run.columns.get("/control/estimate")
     if off is not None:
@@ -264,7 +321,34 @@ def _plots(out: rr.RecordingStream, run: Run, m: MotionHistory, mark: str) -> No
         series("thrust/limit", ends, np.full((2, 1), limit), ["limit"], [(200, 60, 60)])
     slackest = np.where(m.t >= 0, m.tension.min(axis=(1, 2)), np.nan)
     seen = np.isfinite(slackest)
-    series("tension/smallest", m.t[seen], slackest[seen, None], [f"smallest{mark}"], [(220, 220, 220)])
+    series("tension/all", m.t[seen], slackest[seen, None], [f"smallest of all links{mark}"], [(120, 120, 120)])
+    last = np.array(m.model["n_links"]) - 1
+    at_load = m.tension[:, np.arange(n), last]
+    series("tension/load", m.t[seen], at_load[seen], [f"T_{k}" for k in vehicles], tints)
+    _pilot(series, m, vehicles, tints, mark)
+
+
+def _pilot(
+    series: Callable[[str, Array, Array, list[str], list], None],
+    m: MotionHistory,
+    vehicles: list[str],
+    tints: list,
+    mark: str,
+) -> None:
+    """What a pilot looks at: heights, distance to the target, tilts, and the two vehicles that are closest."""
+    n, grey = m.quads.shape[1], (200, 200, 200)
+    series("height/load", m.t, -m.x0[:, 2:], [f"load{mark}"], [grey])
+    series("height/vehicles", m.t, -m.quads[:, :, 2], vehicles, tints)
+    off = np.linalg.norm(m.x0 - np.array(m.model["target_m"]), axis=1)
+    series("distance/load", m.t, off[:, None], [f"load to target{mark}"], [grey])
+    down = np.array([[0.0, 0.0, 1.0]])
+    tilts = [rotate(quats, down)[:, 0, 2] for quats in (m.quat0, *np.moveaxis(m.quats, 1, 0))]
+    degrees = np.degrees(np.arccos(np.clip(np.stack(tilts, axis=1), -1.0, 1.0)))
+    series("tilt/load", m.t, degrees[:, :1], [f"load{mark}"], [grey])
+    series("tilt/vehicles", m.t, degrees[:, 1:], vehicles, tints)
+    if n > 1:
+        gaps = [np.linalg.norm(m.quads[:, a] - m.quads[:, b], axis=1) for a in range(n) for b in range(a + 1, n)]
+        series("separation/all", m.t, np.min(gaps, axis=0)[:, None], [f"closest two{mark}"], [grey])
 
 
 def _wire(out: rr.RecordingStream, run: Run) -> None:
@@ -301,23 +385,36 @@ def _events(out: rr.RecordingStream, run: Run, told: int) -> None:
     marks = [m for m in marks if m[1] != "fly" or not any(e.kind == "phase" for e in run.events)]
     marks += [(e.time_ns, "hold") for e in events if e.kind == "end"]
     t = np.array([(ns - run.release_ns) * 1e-9 for ns, _ in marks])
+    out.log("phases/mission", rr.StateConfiguration(values=list(PHASES), colors=list(PHASES.values())), static=True)
     out.send_columns("phases/mission", [_time(t)], rr.StateChange.columns(state=[name for _, name in marks]))
     for cable in sorted({e.subject for e in events if e.kind in ("slack", "taut")}):
-        marks = [(run.release_ns, "taut")] * (told == 0) + [
-            (e.time_ns, e.kind) for e in events if e.subject == cable and e.kind in ("slack", "taut")
-        ]
+        marks = [(e.time_ns, e.kind) for e in events if e.subject == cable and e.kind in ("slack", "taut")]
+        if told == 0 and marks[0][0] > run.release_ns:  # nothing was said of it before: it was as it begins
+            marks.insert(0, (run.release_ns, "taut" if marks[0][1] == "slack" else "slack"))
         t = np.array([(ns - run.release_ns) * 1e-9 for ns, _ in marks])
         lane = f"slack/{cable.replace(' ', '_')}"
+        out.log(lane, rr.StateConfiguration(values=list(LANES), colors=list(LANES.values())), static=True)
         out.send_columns(lane, [_time(t)], rr.StateChange.columns(state=[name for _, name in marks]))
     if events:
         t = np.array([(e.time_ns - run.release_ns) * 1e-9 for e in events])
         text = [f"{e.subject}: {e.text}" for e in events]
-        level = ["WARN" if e.kind in ALARMING else "INFO" for e in events]
+        level = ["WARN" if e.kind in ALARMING and _matters(run, e) else "INFO" for e in events]
         out.send_columns("events", [_time(t)], rr.TextLog.columns(text=text, level=level))
 
 
-def _series(out: rr.RecordingStream, entity: str, t: Array, values: Array, names: list[str], tints: list) -> None:
-    out.log(entity, rr.SeriesLines(names=names, colors=tints, widths=[1.6] * len(names)), static=True)
+def _matters(run: Run, event: Happening) -> bool:
+    """Whether a slack cable is worth a warning: while it is to carry; everything else is."""
+    if event.kind != "slack":
+        return True
+    phases = [e.text for e in run.events if e.kind == "phase" and e.time_ns <= event.time_ns]
+    return CARRIED_FROM in phases and CARRIED_TO not in phases if phases else True
+
+
+def _series(
+    out: rr.RecordingStream, entity: str, t: Array, values: Array, names: list[str], tints: list,
+    widths: list[float] | None = None,
+) -> None:  # fmt: skip
+    out.log(entity, rr.SeriesLines(names=names, colors=tints, widths=widths or [1.6] * len(names)), static=True)
     out.send_columns(entity, [_time(t)], rr.Scalars.columns(scalars=values))
 
 

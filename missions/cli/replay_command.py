@@ -16,6 +16,7 @@ from missions.cli.exits import fail, make_folder, there, usage
 if TYPE_CHECKING:
     from logs.reading.reader import Run
 
+TICK_S = 0.1  # after the last thing that a log says it is shown still
 CLOSING_S = 5.0  # for a viewer that is told to end
 
 
@@ -42,7 +43,7 @@ def replay(
             target = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="cablequad-"))) / f"{run.stem}.rrd"
         ends_s = _write(run, other, target)
         if screenshot is not None:
-            if not at <= ends_s:
+            if not at <= ends_s + TICK_S:
                 usage(f"--at {at:g}: the run ends {ends_s:.1f} s after its release")
             _picture(target, at, screenshot)
         elif save is not None:

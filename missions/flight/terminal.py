@@ -13,6 +13,7 @@ from rich.progress import Progress as Bar
 from rich.table import Table
 
 from bridge.loop.deciders import PART
+from logs.views.results import rows
 from missions.flight.run import Progress
 from missions.flight.summary import Summary
 
@@ -159,14 +160,6 @@ class _Doing:
 
 def table(s: Summary) -> None:
     """The summary as a table, one line a figure, with what was asked beside it."""
-    asked = {c["name"]: c for c in s.criteria or []}
-
-    def limit(name: str) -> str:
-        if name not in asked:
-            return ""
-        sign = ">=" if name.startswith("min_") else "<="
-        return f"{sign} {asked[name]['limit']:g} {'ok' if asked[name]['holds'] else 'MISSED'}"
-
     failed = "FLOWN IN PART" if s.reason.startswith(PART) else "FAILED"
     verdict = "passed" if s.passed else failed if s.tested else "NOT TESTED"
     out = Table(title=f"{s.scenario}: {verdict}", title_justify="left", show_header=False)
@@ -174,49 +167,22 @@ def table(s: Summary) -> None:
     out.add_column(justify="right")
     out.add_column()
     out.add_row("reason", "", s.reason)
-    set_down = s.max_tension_N is not None
-    name = "last error to its reference" if set_down else "final position error"
-    beside = "led on into the ground when it is set down" if set_down else ""
-    out.add_row(name, _of(s.final_position_error_m, "{:.4f} m"), limit("position_error_m") or beside)
-    out.add_row("rms tracking error", _of(s.rms_tracking_error_m, "{:.4f} m"), limit("rms_tracking_error_m"))
-    out.add_row("mean error, last 10 s", _of(s.mean_position_error_m, "{:.4f} m"), limit("mean_position_error_m"))
-    if (s.link_direction_error_deg or 0.0) > 0.01:
-        shown = _of(s.link_direction_error_deg, "{:.2f} deg")
-        out.add_row("link directions estimated to", shown, limit("link_direction_error_deg"))
-    out.add_row("final speed", _of(s.final_speed_m_s, "{:.4f} m/s"), limit("speed_m_s"))
-    out.add_row("settled within 5 cm at", _of(s.settling_time_s, "{:.2f} s"), limit("settling_time_s"))
-    out.add_row("final link error e_q", _of(s.final_e_q, "{:.4f}"), limit("e_q"))
-    out.add_row("final Psi_i, largest", _of(s.final_psi, "{:.2e}"), limit("psi"))
-    out.add_row("largest Psi_i", _of(s.max_psi, "{:.4f}"), limit("max_psi"))
-    out.add_row("largest thrust", _of(s.max_thrust_N, "{:.2f} N"), limit("max_thrust_N"))
-    out.add_row("smallest tension", _of(s.min_tension_N, "{:.2f} N"), limit("min_tension_N"))
-    if set_down:
-        out.add_row("largest tension", _of(s.max_tension_N, "{:.2f} N"), limit("max_tension_N"))
-        out.add_row("smallest separation", _of(s.min_separation_m, "{:.2f} m"), limit("min_separation_m"))
-        out.add_row("touch-down", _of(s.touch_down_m_s, "{:.3f} m/s"), limit("touch_down_m_s"))
-        out.add_row("set down from its mark", _of(s.set_down_error_m, "{:.3f} m"), limit("set_down_error_m"))
-    out.add_row("messages sent, lost, late", f"{s.messages_sent}, {s.messages_lost}, {s.messages_late}", "")
+    for row in rows(s._asdict()):
+        out.add_row(*row)
     if s.predicted_ticks:
         out.add_row("states partly predicted", str(s.predicted_ticks), "")
-        out.add_row("age of their oldest part", _of(s.state_age_ms, "{:.1f} ms"), "")
     if s.thrust_scale:
         known = [k for k in s.thrust_scale if k is not None]
         made = ", ".join("-" if k is None else f"{k['scale']:.4f}" for k in s.thrust_scale)
         made += f" +- {max(k['error'] for k in known):.0e}" if known else " (not known)"
         out.add_row("thrust made / asked", made, "")
-    out.add_row("real-time factor", _of(s.real_time_factor, "{:.2f}"), "")
     if s.jitter_us is not None:
         jitter = f"{s.jitter_us['p50']:.0f}, {s.jitter_us['p99']:.0f}, {s.jitter_us['max']:.0f} us"
         out.add_row("tick jitter p50, p99, max", jitter, "")
-    out.add_row("missed deadlines", str(s.missed_deadlines), "")
     console = Console(width=None if sys.stdout.isatty() else 120, highlight=False)
     console.print(out)
     for name, path in (("log", s.log), ("replay", s.replay)):
         console.print(f"{name + ':':8}{path or '-'}", soft_wrap=True)
-
-
-def _of(value: float | None, form: str) -> str:
-    return "-" if value is None else form.format(value)
 
 
 def margins_table(result: dict[str, Any]) -> None:

@@ -18,11 +18,11 @@ from cablequad.model.state import Difference, State, differences
 from logs.writing.encode import Model
 from logs.writing.recorder import Decisions, Message, Recorder
 from missions.flight.recording.ipc import PlantState, take, take_motions, take_samples
+from missions.flight.recording.slack import SlackCables
 from missions.scenario.metrics import Followed, Following, Grounded, OnGround, Standing
 from sitl.settings import Event
 
 TRUTH_WAIT_S = 1.0  # the simulator says what it did right after it spoke; longer means that it has ended
-TAUT_N = 0.05  # a cable that was slack is taut again when every link pulls with this
 
 
 class TruthSource(Protocol):
@@ -62,7 +62,7 @@ class Merge:
         self._told: deque[PlantState | Event] = deque()
         self._answered_us = 0
         self._ended = False
-        self._slack: set[int] = set()
+        self._slack = SlackCables(model.system)
         self._shapes: Shapes = ()
         self._smallest_N = math.inf
         self._following = Following(target_m, standing is None)
@@ -196,20 +196,12 @@ class Merge:
         pull = np.where(self._used, motion.tension, np.inf)
         flown = [k for k, still in enumerate(restrained) if not still and not self._ended]
         self._smallest_N = min(self._smallest_N, float(pull[flown].min(initial=math.inf)))
-        loose = set(flown) if self._slack or bool((pull[flown] < 0).any()) else set()
+        q = motion.state.q
+        suspects = self._slack.suspects(pull[flown], q[flown]) if flown else np.zeros(0, dtype=bool)
+        begun = flown[int(suspects.argmax())] if suspects.any() else len(times)  # from then on every instant counts
+        loose = {k for k in flown if k >= begun}
         for k, messages in enumerate(self._recorder.truths(times, restrained, motion)):
             self._true.append((times[k], messages))
             if k in loose:
-                self._tell_slack(times[k], pull[k])
-
-    def _tell_slack(self, boot_us: int, tension: np.ndarray) -> None:
-        """An event when a link of a cable begins to push, that is, the cable is slack, and when it pulls again."""
-        for i, link in enumerate(tension.argmin(axis=1).tolist()):
-            pushes = bool(tension[i, link] < 0)
-            if pushes and i not in self._slack:
-                self._slack.add(i)
-                text = f"link {link + 1} pushes with {-tension[i, link]:.2f} N: the cable is slack"
-                self._line(boot_us, "slack", f"cable {i + 1}", text)
-            elif tension[i, link] > TAUT_N and i in self._slack:
-                self._slack.discard(i)
-                self._line(boot_us, "taut", f"cable {i + 1}", "every link pulls again")
+                for change in self._slack.look(times[k], pull[k], q[k]):
+                    self._line(times[k], change.kind, f"cable {change.cable}", change.text)

@@ -1,0 +1,102 @@
+"""What a run is judged by, shown alike everywhere; which cables are slack; what a page shows of a whole mission."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cablequad.model.state import State
+from cablequad.model.system import System
+from logs.views import figures, report
+from logs.views.results import FIGURES, LED_ON, rows
+from missions.flight.recording.slack import LASTS_US, SlackCables
+from missions.flight.summary import Summary
+from missions.scenario.tables import AcceptanceTable
+
+RESULT: dict[str, Any] = {
+    "final_position_error_m": 0.0624, "max_tension_N": 3.0, "touch_down_m_s": 0.087, "set_down_error_m": 0.015,
+    "min_separation_m": 0.59, "messages_sent": 15224, "state_age_ms": 0.0, "vehicles_crashed": 0,
+    "criteria": [
+        {"name": "touch_down_m_s", "limit": 0.3, "value": 0.087, "holds": True},
+        {"name": "set_down_error_m", "limit": 0.01, "value": 0.015, "holds": False},
+        {"name": "min_separation_m", "limit": 0.3, "value": 0.59, "holds": True},
+    ],
+}  # fmt: skip
+
+
+def test_a_missions_figures_stand_beside_what_was_asked_of_them() -> None:
+    shown = {row.label: row for row in rows(RESULT)}
+    assert shown["touch-down"][1:] == ("0.087 m/s", "<= 0.3 ok")
+    assert shown["set down from its mark"][1:] == ("0.015 m", "<= 0.01 MISSED")
+    assert shown["smallest separation"][1:] == ("0.59 m", ">= 0.3 ok")
+    assert shown["messages sent"].value == "15224"
+    assert shown["last error to its reference"].asked == LED_ON  # not beside "set down" as a second truth
+    assert not any(label.startswith("age of") for label in shown)  # all was measured at once
+
+
+def test_every_criterion_of_a_scenario_has_its_figure() -> None:
+    known = {figure.criterion or figure.key for figure in FIGURES}
+    assert set(AcceptanceTable.model_fields) <= known
+    assert {figure.key for figure in FIGURES} <= set(Summary._fields)
+
+
+def test_a_page_shows_a_mission_to_its_end_and_a_transport_crowded_towards_its_release() -> None:
+    mission: Any = SimpleNamespace(events=[SimpleNamespace(kind="phase")])
+    transport: Any = SimpleNamespace(events=[])
+    assert figures._chosen(mission, 59.0)[-1] == 59.0
+    assert figures._chosen(transport, 12.0)[1] < 0.2
+    assert figures._chosen(transport, 60.0)[-1] == 60.0
+    assert "tensions" in report.CAPTIONS
+
+
+def hanging(system: System, bend: float = 0.0) -> np.ndarray:
+    """(n, L, 3) link directions: straight down, or bent from one link to the next by `bend` rad."""
+    q = State.hanging(system).q.copy()
+    angle = bend * np.arange(q.shape[1]) * (-1.0) ** np.arange(q.shape[1])
+    q[:, :, 0], q[:, :, 2] = np.sin(angle), np.cos(angle)
+    return q
+
+
+def test_a_cable_that_rings_is_told_once_and_is_taut_when_it_has_pulled_for_a_while() -> None:
+    """A nominal flight had 160 events: links that swing pull and push a few millinewtons, many times a second."""
+    system = System.paper(1)
+    cables, q = SlackCables(system), hanging(system)
+    pull = np.full(q.shape[:2], 1.0)
+    told = []
+    for k in range(500):
+        now = pull.copy()
+        now[1, 2] += 1.02 * np.sin(0.5 * k)  # down to -0.02 N: nothing
+        told += cables.look(4000 * k, now, q)
+    assert told == []
+    for k in range(500, 700):
+        now = pull.copy()
+        now[1, 2] += 1.5 * np.sin(0.5 * k)
+        told += cables.look(4000 * k, now, q)
+    assert [(change.kind, change.cable) for change in told] == [("slack", 2)]
+    assert "link 3 pushes with 0." in told[0].text
+    told = [change for k in range(700, 900) for change in cables.look(4000 * k, pull, q)]
+    assert [(change.kind, change.cable) for change in told] == [("taut", 2)]
+
+
+def test_a_curled_cable_is_slack_though_its_links_pull() -> None:
+    system = System.paper(1)
+    cables, curled = SlackCables(system), hanging(system, 0.4)
+    pull = np.full(curled.shape[:2], 0.2)
+    assert cables.suspects(pull[None], curled[None]).all()
+    told = cables.look(0, pull, curled)
+    assert [change.kind for change in told] == ["slack"] * 4
+    assert "curled" in told[0].text
+    assert cables.look(4000, pull, hanging(system)) == []
+    assert [change.kind for change in cables.look(4000 + LASTS_US, pull, hanging(system))] == ["taut"] * 4
+
+
+@pytest.mark.parametrize("bins", [1, 7])
+def test_means_of_a_curve_keep_its_extremes(bins: int) -> None:
+    t = np.linspace(0.0, 20.0 * bins, 5000 * bins)
+    values = np.sin(3.0 * t)
+    at, least, mean, most = figures._bins(t, values)
+    assert len(at) == len(mean) < 5000 * bins
+    assert (least <= mean).all()
+    assert (mean <= most).all()
+    assert least.min() == pytest.approx(-1.0, abs=1e-3)
