@@ -21,7 +21,7 @@ LARGE = {  # function or class: why
     "cablequad/environment/untethered.py:fly_untethered": COMPILED,
     "cablequad/model/dynamics.py:_solve_payload": EQUATION,
     "cablequad/model/system.py:System.of": EQUATION,
-    "logs/views/replay.py:layout": TABLE,
+    "logs/views/replay_layout.py:layout": TABLE,
     "logs/writing/layout.py:records": COMPILED,
     "logs/writing/recorder.py:Recorder": APART,
     "missions/analysis/check.py:_certificate": APART,

@@ -6,15 +6,16 @@ from pathlib import Path
 
 
 def installed_first() -> None:
-    """What PYTHONPATH adds to `sys.path` comes after what is installed, here and in every process that is started.
+    """The current folder, and what PYTHONPATH adds to `sys.path`, come after what is installed.
 
-    A folder `missions` or `logs` of the user's, where PYTHONPATH is the current folder, is not taken for ours.
+    A folder `missions` or `logs` of the user's is not taken for ours, here and in every process that is started.
     """
-    added = {str(Path(entry).resolve()) for entry in os.environ.get("PYTHONPATH", "").split(os.pathsep) if entry}
-    theirs = [entry for entry in sys.path if str(Path(entry).resolve()) in added]
-    ours = str(Path(__file__).resolve().parents[1])
-    rest = [entry for entry in sys.path if entry not in theirs]
-    sys.path[:] = [*rest, *([] if ours in rest else [ours]), *theirs]
+    ours = Path(__file__).resolve().parents[1]
+    entries = [Path.cwd(), *map(Path, filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep)))]
+    added = {entry.resolve() for entry in entries} - {ours}
+    theirs = [entry for entry in sys.path if Path(entry).resolve() in added]
+    rest = [entry for entry in sys.path if Path(entry).resolve() not in {ours, *added}]
+    sys.path[:] = [*rest, str(ours), *theirs]
 
 
 def main() -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from cablequad.model.state import State
 from cablequad.model.system import System
-from logs.views import figures, report
+from logs.views import figures
 from logs.views.results import FIGURES, LED_ON, rows
 from missions.flight.recording.slack import LASTS_US, SlackCables
 from missions.flight.summary import Summary
@@ -47,7 +47,6 @@ def test_a_page_shows_a_mission_to_its_end_and_a_transport_crowded_towards_its_r
     assert figures._chosen(mission, 59.0)[-1] == 59.0
     assert figures._chosen(transport, 12.0)[1] < 0.2
     assert figures._chosen(transport, 60.0)[-1] == 60.0
-    assert "tensions" in report.CAPTIONS
 
 
 def hanging(system: System, bend: float = 0.0) -> np.ndarray:

@@ -42,7 +42,6 @@ class Patience(NamedTuple):
     joint: bool = False  # it waits for autopilots, which may stall as long as they run
     simulated: bool = False  # the vehicles are a simulator's that is alive as long as nobody says otherwise
     stall_s: float = STALL_S  # wall clock without a frame, after which a simulator in lockstep is given up
-    acknowledge: bool = False  # tell the tracker of every tick that was dealt with: physics behind autopilots waits
 
 
 class Record(Protocol):
@@ -133,6 +132,7 @@ class _Flight:
         """Take what has come in; answer the tick that it completes, if it does."""
         arrival = self.inbox.look(self._known)
         sample, tracked = self._answer_ticks(arrival)
+        self._answer_time()
         self._ask_time(arrival.at)
         stale = not self.parts.patience.lockstep and self.inbox.stale(arrival.at)
         if tracked is None and (sample is not None or not stale):
@@ -157,9 +157,17 @@ class _Flight:
                 tracked = max(tracked or 0, self.now_us)
             else:
                 sample = self._answer(instant, arrival.at)
-                tracked = None if tracked == self.now_us and not self.parts.patience.acknowledge else tracked
+                tracked = None if tracked == self.now_us else tracked
             boot_ms = self.inbox.barrier.open()
         return sample, tracked
+
+    def _answer_time(self) -> None:
+        """Tell the tracker what time it is here, once all that came before its question has been dealt with."""
+        questions, self.inbox.questions = self.inbox.questions, []
+        if questions:
+            self.process()
+            here_ns = max(1, self.now_us * 1000)
+            self._send([Request(TRACKER, Timesync(here_ns, question.ts1)) for question in questions])
 
     def _ask_time(self, now: float) -> None:
         """What time every vehicle and the tracker have, in one breath."""

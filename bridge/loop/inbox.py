@@ -37,6 +37,7 @@ class Inbox:
         self.tracker_us = 0  # the tracker's clock, as far as it was heard
         self.quiet_s = 0.0  # listened for in vain since a frame came; what we do ourselves is nobody's silence
         self.offsets: list[ClockOffset] = []  # found, and not told yet
+        self.questions: list[Timesync] = []  # of the tracker, what time it is here; not answered yet
         self._link, self._time_sync, self._channels = link, time_sync, channels
         self._pending_since = 0.0
 
@@ -64,8 +65,10 @@ class Inbox:
                 self.barrier.feed(frame.system, self._time_sync.mapped(frame.system, frame.value))
             if kind is Heartbeat:
                 self.sources.heard(frame)
-            elif kind is Timesync:
+            elif kind is Timesync and frame.value.tc1 != 0:
                 answers.append(frame)
+            elif kind is Timesync and frame.system == TRACKER and frame.component == COMPONENT:
+                self.questions.append(frame.value)
             elif kind is PayloadState and frame.system == TRACKER:
                 tracked = frame.value.boot_us
         self.pending += heard

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from cablequad.types import Array
 from logs.reading.columns import CARRYING, flown
 from logs.reading.reader import LogError, Run
-from logs.views.motion import MotionHistory, motion_of, rotate
+from logs.views.motion import MotionHistory, motion_of, rotate, separation
 from logs.writing.encode import color
 
 AXES = ("#d55e00", "#009e73", "#0072b2")  # x, y, z: told apart by colour-blind readers, and by their line styles
@@ -90,13 +90,11 @@ def tensions(run: Run) -> Figure:
 
 def _separation(ax: Axes, t: Array, x: Array) -> None:
     """Of the two vehicles that are closest."""
-    n = x.shape[1]
     ax.set_ylabel("smallest separation [m]")
-    if n < 2:
+    if x.shape[1] < 2:
         ax.annotate("one vehicle", (0.5, 0.5), xycoords="axes fraction", ha="center", color="0.4")
         return
-    pairs = [np.linalg.norm(x[:, a] - x[:, b], axis=1) for a in range(n) for b in range(a + 1, n)]
-    ax.plot(t, np.min(pairs, axis=0), color="0.15", linewidth=1.1)
+    ax.plot(t, separation(x), color="0.15", linewidth=1.1)
     ax.set_ylim(bottom=0.0)
 
 

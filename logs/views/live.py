@@ -14,6 +14,7 @@ import rerun as rr
 from logs.reading.reader import Happening, LogError, Tail
 from logs.views import replay
 from logs.views.motion import motion_of
+from logs.views.replay_layout import layout
 
 VIEWER = ("127.0.0.1", 9876)
 LOOK_S = 0.25
@@ -63,7 +64,7 @@ def _send(out: rr.RecordingStream, tail: Tail, events: list[Happening], trail: l
     except LogError:
         return
     if not trail:
-        out.send_blueprint(replay.layout(motion))
+        out.send_blueprint(layout(motion))
     trail.append(motion.x0)
     replay.log(out, run, motion, told=told)
     replay.log_trail(out, np.concatenate(trail))

@@ -81,6 +81,13 @@ def thin(ns: np.ndarray, hz: float) -> np.ndarray:
     return np.flatnonzero(np.diff(slot, prepend=-1) > 0)
 
 
+def separation(x: Array) -> Array:
+    """(T,) m: between the two of n vehicles at `x` (T, n, 3) m that are closest; n is 2 at least."""
+    n = x.shape[1]
+    pairs = [np.linalg.norm(x[:, a] - x[:, b], axis=1) for a in range(n) for b in range(a + 1, n)]
+    return np.asarray(np.min(pairs, axis=0))
+
+
 def rotate(quat_wxyz: Array, v: Array) -> Array:
     """(T, k, 3): vectors v (k, 3) turned by each of the quaternions (T, 4)."""
     w, u = quat_wxyz[:, None, :1], quat_wxyz[:, None, 1:]

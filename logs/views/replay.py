@@ -6,14 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import rerun as rr
-import rerun.blueprint as rrb
 
 from cablequad.types import Array
 from logs.reading.reader import Happening, Run, frame_headers, missing_before
-from logs.views.motion import MotionHistory, motion_of, rotate, shade, thin
+from logs.views.motion import MotionHistory, motion_of, rotate, separation, shade, thin
+from logs.views.replay_layout import TIMELINE, layout
 from logs.writing.encode import ALARMING, color
 
-TIMELINE = "sim_time"
 PLOT_HZ = 250.0
 N_PER_M = 14.0  # thrust arrows: newtons a metre
 ARM = 0.17  # m
@@ -59,82 +58,6 @@ def log(
     if other is not None:
         _ghost(out, other[1])
         _plots(out, *other, GHOST)
-
-
-def layout(m: MotionHistory) -> rrb.Blueprint:
-    """3D and the phases on the left, plots on the right."""
-    seen = np.concatenate(
-        [m.nodes.reshape(-1, 3), m.nodes[0].reshape(-1, 3) + (np.array(m.model["target_m"]) - m.x0[0])]
-    )
-    low, high = seen.min(axis=0), seen.max(axis=0)
-    middle = 0.5 * (low + high)
-    size = high - low
-    across = np.array([1.0, 0.35, -0.5]) if size[1] >= size[0] else np.array([0.35, 1.0, -0.5])
-    known = m.model.get("ground_z_m")
-    floor = float(high[2]) + 0.6 if known is None else float(known)
-    eye = middle + max(3.0, 1.15 * float(np.linalg.norm(size))) * across / np.linalg.norm(across)
-    scene = rrb.Spatial3DView(
-        origin="/world",
-        name="load, cables, vehicles (NED)",
-        background=rrb.Background(color=(18, 20, 28)),
-        line_grid=rrb.LineGrid3D(
-            visible=True, spacing=0.5, plane=rr.components.Plane3D.XY.with_distance(floor), color=(110, 120, 140, 90)
-        ),
-        eye_controls=rrb.EyeControls3D(position=eye, look_target=middle, eye_up=(0.0, 0.0, -1.0)),
-    )
-
-    def plot(name: str, *entities: str) -> rrb.TimeSeriesView:
-        return rrb.TimeSeriesView(
-            name=name, origin="/plots", contents=list(entities), plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop)
-        )
-
-    plots = rrb.Grid(
-        plot("payload position, reference grey [m, NED]", "/plots/position/**"),
-        plot("payload velocity, reference grey [m/s, NED]", "/plots/velocity/**"),
-        plot(f"thrust f_i [N], limit {min(m.model['max_thrust_N']):g} N", "/plots/thrust/**"),
-        plot("tension at the load, smallest of all links grey [N]", "/plots/tension/**"),
-        plot("vehicle attitude error Psi_i [-]", "/plots/psi/**"),
-        plot("payload attitude error Psi_0 [-]", "/plots/psi_0/**"),
-        plot("link errors e_q [-], e_omega [rad/s]", "/plots/links/**"),
-        rrb.TextLogView(name="events", origin="/events"),
-        grid_columns=2,
-        name="flight",
-    )
-    wire = rrb.Vertical(
-        plot("frames missing by their numbers, each second", "/plots/lost/**"),
-        plot("age of the state that was answered [ms]", "/plots/age/**"),
-        plot("estimate less truth: load [cm], links [deg]", "/plots/estimate/**"),
-        name="wire and estimate",
-    )
-    pilot = rrb.Grid(
-        plot("height, up [m]", "/plots/height/**"),
-        plot("load's distance to its target [m]", "/plots/distance/**"),
-        plot("tilt [deg]", "/plots/tilt/**"),
-        plot("separation of the two closest vehicles [m]", "/plots/separation/**"),
-        rrb.Spatial3DView(
-            origin="/world",
-            name="from above (north is up)",
-            background=rrb.Background(color=(18, 20, 28)),
-            eye_controls=rrb.EyeControls3D(
-                position=middle + np.array([0.0, 0.0, -1.0 * max(3.0, float(np.linalg.norm(size)))]),
-                look_target=middle,
-                eye_up=(1.0, 0.0, 0.0),
-            ),
-        ),
-        rrb.TextDocumentView(name="key", origin="/key"),
-        grid_columns=2,
-        name="pilot",
-    )
-    phases = rrb.StateTimelineView(name="phases", origin="/", contents=["/phases/**", "/slack/**"])
-    return rrb.Blueprint(
-        rrb.Horizontal(
-            rrb.Vertical(scene, phases, row_shares=[5.0, 0.55 + 0.27 * (1 + len(m.model["n_links"]))]),
-            rrb.Tabs(plots, pilot, wire),
-            column_shares=[5, 6],
-        ),
-        rrb.TimePanel(state="collapsed", timeline=TIMELINE, playback_speed=1.0),
-        collapse_panels=True,
-    )
 
 
 KEY = """
@@ -296,8 +219,8 @@ def _plots(out: rr.RecordingStream, run: Run, m: MotionHistory, mark: str) -> No
         series("velocity/is", t, v, [f"v{a}{mark}" for a in "xyz"], axes)
         if not mark:
             wide = [WIDE] * 3  # "asked" sorts before "is", and what comes first is drawn below
-            _series(out, "plots/position/asked", t, x - e_x, [f"reference {a}" for a in "xyz"], REFERENCE, widths=wide)
-            _series(out, "plots/velocity/asked", t, v - e_v, [f"reference {a}" for a in "xyz"], REFERENCE, widths=wide)
+            _series(out, "plots/position/asked", t, x - e_x, ["reference"] * 3, REFERENCE, widths=wide)
+            _series(out, "plots/velocity/asked", t, v - e_v, ["reference"] * 3, REFERENCE, widths=wide)
         series("thrust/commanded", t, control["thrust"][rows], [f"f_{k}" for k in vehicles], tints)
         series("psi/vehicles", t, control["Psi"][rows], [f"Psi_{k}" for k in vehicles], tints)
         series("psi_0/load", t, control["Psi_0"][rows][:, None], [f"Psi_0{mark}"], [(120, 150, 230)])
@@ -347,8 +270,7 @@ def _pilot(
     series("tilt/load", m.t, degrees[:, :1], [f"load{mark}"], [grey])
     series("tilt/vehicles", m.t, degrees[:, 1:], vehicles, tints)
     if n > 1:
-        gaps = [np.linalg.norm(m.quads[:, a] - m.quads[:, b], axis=1) for a in range(n) for b in range(a + 1, n)]
-        series("separation/all", m.t, np.min(gaps, axis=0)[:, None], [f"closest two{mark}"], [grey])
+        series("separation/all", m.t, separation(m.quads)[:, None], [f"closest two{mark}"], [grey])
 
 
 def _wire(out: rr.RecordingStream, run: Run) -> None:

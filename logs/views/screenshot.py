@@ -10,7 +10,7 @@ import numpy as np
 from rerun.experimental import ViewerClient
 
 from logs.reading.reader import LogError
-from logs.views.replay import TIMELINE
+from logs.views.replay_layout import TIMELINE
 
 START_S = 60.0
 SETTLE_S = 1.5

@@ -103,7 +103,6 @@ def _run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary,
     with interpreter_restored(), closing(Participants(flight, options)) as p:
         progress.doing("getting ready (a first start compiles the model: minutes)")
         prepared = _prepare(flight, options, p, progress)
-        assert p.log is not None
         if not options.in_process:
             progress.doing("waiting for the log's process")
         p.log.wait_ready()
@@ -127,7 +126,6 @@ def _run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary,
 
 def _prepare(flight: Flight, options: Options, p: Participants, progress: Progress) -> FlightSetup:
     """What flies, and its log, while the others are on their way; before the vehicles' clock runs nothing compiles."""
-    assert p.log is not None
     design = scenarios.design(flight)
     who = "connected" if options.connect else options.backend
     beginning = opening(flight, design, options.out, p.lockstep, bool(options.connect), who)
@@ -149,7 +147,7 @@ def _patience(flight: Flight, options: Options, p: Participants) -> Patience:
     if connect_s is None:  # autopilots that somebody else starts take their time
         connect_s = BOOT_S if p.asks else CONNECT_S
     stall_s = options.stall_timeout_s + p.external * 10.0  # whose physics says first who does not answer
-    return Patience(connect_s, p.lockstep, p.external, p.simulator is not None, stall_s, p.asks)
+    return Patience(connect_s, p.lockstep, p.external, p.simulator is not None, stall_s)
 
 
 def _summarized(
@@ -158,7 +156,6 @@ def _summarized(
 ) -> Summary:  # fmt: skip
     """Judge the flight by its log, and close that with what came of it."""
     log, link, simulator = p.log, p.link, p.simulator
-    assert log is not None
     judged = log.judged(outcome.completed or outcome.reason.startswith(PART))
     if judged.followed is not None:  # the simulator knows every link's tension; the tracker told the load's end
         sink.track.min_tension_N = judged.smallest_tension_N

@@ -125,8 +125,8 @@ class JointServer:
         self.now_us = START_US
         self._steps = 0
         self._pace_from: tuple[int, float] | None = None
-        self._reported: Truth | None = None  # the last state that the controller was told
-        self._answered_us: int | None = None  # of the last state that it dealt with; None: nobody does
+        self._asked_us = 0  # of the last state that the controller was told, and asked the time after
+        self._answered_us: int | None = None  # of the last such question that it answered; None: nobody does
 
     def _seat(self, i: int, kind: str) -> Seat:
         s = self.settings
@@ -301,48 +301,51 @@ class JointServer:
 
     def _track(self, truth: Truth) -> None:
         s, now = self.settings, self.now_us
-        reported = self._sensors.tracked(truth)
-        if now % s.control_us == 0:
-            self._reported = reported
-        self._tracker.tell(reported)
+        self._tracker.tell(self._sensors.tracked(truth))
         if now % LANDED_US == 0 or now == self._released_us:
             landed = encode(LandedState(ON_GROUND if self.plant.restrained else IN_AIR))
             self.link.put(0, tracker.SYSTEM, tracker.COMPONENT, landed)
         if now % tracker.HEARTBEAT_US == 0:
             self.link.put(0, tracker.SYSTEM, tracker.COMPONENT, origin(s.home))
+        if now % s.control_us == 0:
+            self._asked_us = now
+            self._ask()
         self.link.flush()
 
+    def _ask(self) -> None:
+        """Ask the controller the time, after all that it is told of a tick: who answers has dealt with that."""
+        question = encode(Timesync(0, self._asked_us * 1000))
+        self.link.put(0, tracker.SYSTEM, tracker.COMPONENT, question)
+
     def _await_controller(self, stop: Callable[[], bool]) -> None:
-        """Until a controller that deals with every state has dealt with the last: a busy computer stalls it too."""
+        """Until a controller that answers has dealt with what it was told last: a busy computer stalls it too."""
         begun = asked = time.monotonic()
         while self._unanswered() and not stop():
-            assert self._reported is not None
             now = time.monotonic()
             if now - begun > self.settings.answer_timeout_s:
                 self._answered_us = None
-                text = f"no answer to the state for {self.settings.answer_timeout_s:g} s; it is not waited for any more"
+                text = f"no answer to TIMESYNC for {self.settings.answer_timeout_s:g} s; it is not waited for any more"
                 self._sink(Event(self.now_us, "answer-missing", "controller", text))
                 return
             if now - asked > ASK_AGAIN_S:
                 asked = now
-                self._tracker.tell(self._reported)
+                self._ask()
                 self.link.flush()
             self._listen(ASK_AGAIN_S)
 
     def _unanswered(self) -> bool:
-        reported, answered_us = self._reported, self._answered_us
-        if reported is None or answered_us is None:
+        if self._answered_us is None:
             return False
-        return answered_us + self.settings.control_us <= min(reported.boot_us, self.now_us - LEAD_US)
+        return self._answered_us + self.settings.control_us <= min(self._asked_us, self.now_us - LEAD_US)
 
     def _listen(self, timeout: float) -> None:
-        """Answer who asks the tracker for its time; hear the controller say what it has dealt with."""
+        """Answer who asks the tracker for its time; hear the controller answer it."""
         for frame in self.link.poll(timeout):
             if not isinstance(frame.value, Timesync):
                 continue
             tc1, ts1 = frame.value
-            if (frame.system, frame.component) == CONTROLLER and 0 < tc1 == ts1 <= self.now_us * 1000:
-                self._answered_us = max(self._answered_us or 0, tc1 // 1000)
+            if (frame.system, frame.component) == CONTROLLER and tc1 != 0 and 0 < ts1 <= self.now_us * 1000:
+                self._answered_us = max(self._answered_us or 0, ts1 // 1000)
             elif tc1 == 0:
                 answer = encode(Timesync(self.now_us * 1000, frame.value.ts1))
                 self.link.put(frame.port, tracker.SYSTEM, tracker.COMPONENT, answer)

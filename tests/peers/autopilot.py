@@ -30,6 +30,8 @@ ARM, DRAG = 0.17, 0.02  # m
 SIDE = ((1, 1), (-1, -1), (1, -1), (-1, 1))  # forward, right: front right, rear left, front left, rear right
 TURN = (1, 1, -1, -1)  # of their drag on the body: the first two turn counter-clockwise
 RESPONSE = {False: (12.9, 0.85, 0.014), True: (10.2, 1.07, 0.004)}  # rad/s, damping, s until a setpoint acts; by px4
+RESTS = 0.05  # rad/s, below which a gyroscope at rest shows its bias and its noise
+MOVES = 0.3  # m/s^2, by GPS, at which the accelerometer counts half
 HOLD_S = {False: 0.0006, True: 0.002}  # half of what lies between two torques; by px4
 PHASE_US = {False: 3_000, True: 8_000}  # of streams, modulo 20 ms
 DENSITY = (1 - 2.25577e-5 * 488.0) ** 4.25588  # at the default home, to that at sea level
@@ -89,6 +91,7 @@ class Filter(Estimate):
         self.still = True  # disarmed, on the ground
         self.last_v = None
         self.fixes = 0
+        self.rested = 0  # samples
 
     def imu(self, m, dt):
         acc, gyro = (m.xacc, m.yacc, m.zacc), (m.xgyro, m.ygyro, m.zgyro)
@@ -109,8 +112,14 @@ class Filter(Estimate):
         off = (seen[0] * FIELD[1] - seen[1] * FIELD[0]) / (FIELD[0] ** 2 + FIELD[1] ** 2)
         turn = rotate(conj(self.q), (0.0, 0.0, off))
         error = [a + b for a, b in zip(tilt, turn)]
-        trust, learn = (0.5, 0.5) if self.still else (0.05, 0.00125)  # what accelerometer and field say, once it flies
+        moves = (
+            1 + (math.sqrt(sum(c * c for c in self.a)) / MOVES) ** 2
+        )  # an accelerometer that is moved shows no level
+        trust, learn = (0.5, 0.0) if self.still else (0.1 / moves, 0.005 / moves)
         self.bias = [b - learn * e * dt for b, e in zip(self.bias, error)]
+        if self.still and max(map(abs, gyro)) < RESTS:  # the gyroscope's mean at rest is its bias
+            self.rested += 1
+            self.bias = [b + (c - b) / self.rested for b, c in zip(self.bias, gyro)]
         self.w = tuple(w - b for w, b in zip(gyro, self.bias))
         mean = [0.5 * (now + before) - b for now, before, b in zip(gyro, self.before, self.bias)]
         self.before = gyro

@@ -34,7 +34,6 @@ class Participants:
         self.asks = self.external or bool(options.connect)  # vehicles may have clocks of their own
         self.lockstep = math.isinf(options.speed) and not self.asks
         self.simulator: Simulator | InProcessSimulator | None = None
-        self.log: LogProcess | InProcessLog | None = None
         self._show: Show | None = None
         self._autopilots: Autopilots | None = None
         key = options.signing_key
@@ -44,6 +43,10 @@ class Participants:
         self.link.reliable = self.lockstep and network is None
         try:
             self.log = LogProcess() if network is None else InProcessLog()
+        except BaseException:
+            self.link.close()
+            raise
+        try:
             if not options.connect:
                 self._simulate(flight, options, network)
         except BaseException:
@@ -58,7 +61,7 @@ class Participants:
         )  # fmt: skip
         if isinstance(self.log, LogProcess):
             self.simulator = Simulator(settings(flight, serving), self.log.truth_end)
-        elif network is not None and self.log is not None:
+        elif network is not None:
             self.simulator = InProcessSimulator(settings(flight, serving), self.log.truth_end, network)
             self.link.go_on = self.simulator.go_on
 
@@ -104,8 +107,7 @@ class Participants:
         """Stop and close everything."""
         if self.simulator is not None:
             self.simulator.stop()
-        if self.log is not None:
-            self.log.close()
+        self.log.close()
         if self._show is not None:
             self._show.close()
         if self._autopilots is not None:
