@@ -98,7 +98,7 @@ class Played:
 
     def fly(self) -> None:
         self.beat()
-        self.until(lambda: all(self.armed))
+        self.until(lambda: all(self.armed), self.now + 90.0)
         for i in range(self.n):
             self.say(i + 1, LandedState(2))
         self.step()
@@ -180,6 +180,28 @@ def test_a_vehicle_that_leaves_in_flight_is_named(change: Any, text: str) -> Non
     change(p)
     p.until(lambda: False, p.now + 6)
     assert text in (p.fleet.failure or "")
+
+
+@pytest.mark.parametrize("begins", [4.0, 3600.0])
+def test_a_clock_that_is_heard_late_makes_nobody_silent_or_slow(begins: float) -> None:
+    p = Played()
+    p.fleet.feed(1, 1, Heartbeat(2, PX4, 81, 0, 3), 0.0)  # before the tracker says what time it is
+    p.now = begins
+    p.fleet.due(begins)
+    assert p.fleet.failure is None
+    p.fly()
+    assert p.fleet.flying
+
+
+def test_a_clock_that_pauses_makes_nobody_silent_and_who_is_silent_is_named_all_the_same() -> None:
+    p = Played()
+    p.fly()
+    p.now += 10.0
+    p.fleet.due(p.now)
+    assert p.fleet.failure is None
+    p.silent.add(2)
+    p.until(lambda: False, p.now + 6)
+    assert "vehicle 2 is silent since t =" in (p.fleet.failure or "")
 
 
 @pytest.mark.parametrize("autopilot", [PX4, ARDUCOPTER])

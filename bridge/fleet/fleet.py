@@ -40,6 +40,7 @@ RETRY_S = 0.5
 STREAM_FIRST_S = 1.0  # setpoints flow this long before the mode is asked for
 HEARTBEAT_S = 1.0
 SILENT_S = 3.0
+GAP_S = 0.5  # a clock that goes on by more at once was not heard meanwhile
 POSITION_GAP_M = 0.5  # a vehicle further than this from where its cable puts it is not flown
 
 REBOOT_MS = 1000  # a vehicle's clock that goes back by more has begun anew
@@ -103,6 +104,7 @@ class Fleet:
         self._needs_tracker = sensing != "vehicles"
         self._setpoints_since: float | None = None
         self._next_heartbeat = 0.0
+        self._now = 0.0  # of the vehicles' clock, as far as it was heard
         self._tracker_heard = False
         self._on_stands = False  # as far as the tracker says
         self._texts: list[tuple[int, StatusText]] = []
@@ -177,6 +179,7 @@ class Fleet:
 
     def feed(self, source: int, component: int, value: Any, now: float) -> None:
         """Take one value from system `source`."""
+        self._hear_clock(now)
         if source == TRACKER:
             self._tracker_heard = True
             if isinstance(value, LandedState):
@@ -249,6 +252,7 @@ class Fleet:
 
     def due(self, now: float) -> list[Request]:
         """What to send now; also moves stages on and notices who is silent or stuck."""
+        self._hear_clock(now)
         out, self._answers = self._answers, []
         if now >= self._next_heartbeat:
             self._next_heartbeat = now + HEARTBEAT_S
@@ -282,6 +286,19 @@ class Fleet:
                 self._enter(v, Stage.HOLD, now)
 
     # -- inside --------------------------------------------------------------------------------------------------------
+
+    def _hear_clock(self, now: float) -> None:
+        """Time that went by unheard (before the first word of the clock, or while its sender was silent) is nobody's
+
+        fault: no vehicle was silent or slow in it.
+        """
+        gap = now - self._now
+        if gap > GAP_S:
+            for v in self._vehicles:
+                v.heard_at += gap
+                v.since += gap
+            self.departed = {k: (act_at + gap, why) for k, (act_at, why) in self.departed.items()}
+        self._now = max(self._now, now)
 
     def _fail(self, text: str) -> None:
         if self.failure is None:
