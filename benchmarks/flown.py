@@ -29,9 +29,11 @@ STEP_S = 0.02
 
 
 class Motion(NamedTuple):
-    """The load's true position over time since the beginning of each phase that is compared."""
+    """What a flight was like: the load's true position since the beginning of each phase that is compared."""
 
     phases: dict[str, Array]  # (k, 3) m, STEP_S apart
+    largest_tension_N: float  # in any link, since the release
+    age_ms: float  # mean, of the oldest part of the states that decisions in flight went by
 
 
 def motion(run: Run) -> Motion:
@@ -47,7 +49,10 @@ def motion(run: Run) -> Motion:
         if name in COMPARED:
             at = np.arange(start, end, STEP_S)
             out[name] = np.column_stack([np.interp(at, t, x[:, k]) for k in range(3)])
-    return Motion(out)
+    control = run.columns["/control/state"]
+    own = (control["sim_time_ns"] >= run.release_ns) & (control["sim_time_ns"] * 1e-9 <= last)
+    pulled = plant["tension"][(plant["sim_time_ns"] >= run.release_ns) & (t <= last)]
+    return Motion(out, float(np.nanmax(pulled)), 1e3 * float(control["state_age"][own].mean()))
 
 
 def begun(run: Run, scenario: dict[str, Any]) -> dict[str, Any]:
@@ -106,7 +111,10 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=SEEDS)
     given = parser.parse_args()
     table = Table(title="the load's position, real flight against persona", title_justify="left")
-    for column in ("firmware", "flight", "rms, cm", "largest, cm", "floor rms, cm", "set down, cm", "touch-down, m/s"):
+    for column in (
+        "firmware", "flight", "rms, cm", "largest, cm", "floor rms, cm", "set down, cm", "touch-down, m/s",
+        "tension, N: real", "persona", "age, ms: real", "persona", "made / asked",
+    ):  # fmt: skip
         table.add_column(column)
     for firmware in KNOWN:
         for name in FLIGHTS:
@@ -120,12 +128,16 @@ def main() -> None:
             spread = [difference(flown[0][0], m)[0] for m, _ in flown[1:]]
             set_down = [s["set_down_error_m"] for _, s in flown if s["set_down_error_m"] is not None]
             touch = [s["touch_down_m_s"] for _, s in flown if s["touch_down_m_s"] is not None]
+            made = [k["scale"] for _, s in flown for k in s["thrust_scale"] or () if k is not None]
             table.add_row(
                 KNOWN[firmware].name, name, f"{100 * np.median([a for a, _ in against]):.2f}",
                 f"{100 * np.median([b for _, b in against]):.2f}", f"{100 * float(np.mean(spread or [0.0])):.2f}",
                 f"{100 * np.median(set_down):.1f}" if set_down else "", f"{np.median(touch):.2f}" if touch else "",
+                f"{real.largest_tension_N:.1f}", f"{np.median([m.largest_tension_N for m, _ in flown]):.1f}",
+                f"{real.age_ms:.0f}", f"{np.median([m.age_ms for m, _ in flown]):.0f}",
+                f"{min(made):.4f} to {max(made):.4f}" if made else "not known",
             )  # fmt: skip
-    Console(width=110).print(table)
+    Console(width=190).print(table)
 
 
 if __name__ == "__main__":
