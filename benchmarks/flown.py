@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.table import Table
 
 from logs.reading.reader import Run, read
-from missions.scenario.known import KNOWN
+from sitl.firmware.personas import PERSONAS
 
 Array = NDArray[np.float64]
 FLIGHTS = ("case-1", "ground-to-ground")
@@ -78,7 +78,7 @@ def difference(a: Motion, b: Motion) -> tuple[float, float]:
 
 def persona(scenario: dict[str, Any], firmware: str, seed: int, folder: Path) -> tuple[Motion, dict[str, Any]]:
     """Today's persona on a recorded scenario: the law as it was, the vehicle as its firmware is known to answer."""
-    known = KNOWN[firmware]
+    known = PERSONAS[firmware].known
     scenario = json.loads(json.dumps(scenario))
     scenario["seed"] = seed
     scenario["vehicle"] |= {
@@ -116,7 +116,7 @@ def main() -> None:
         "tension, N: real", "persona", "age, ms: real", "persona", "made / asked",
     ):  # fmt: skip
         table.add_column(column)
-    for firmware in KNOWN:
+    for firmware in PERSONAS:
         for name in FLIGHTS:
             run = read(given.folder / f"{firmware}-{name}" / "run.mcap")
             scenario = begun(run, json.loads(run.attachments["scenario.json"]))
@@ -130,7 +130,7 @@ def main() -> None:
             touch = [s["touch_down_m_s"] for _, s in flown if s["touch_down_m_s"] is not None]
             made = [k["scale"] for _, s in flown for k in s["thrust_scale"] or () if k is not None]
             table.add_row(
-                KNOWN[firmware].name, name, f"{100 * np.median([a for a, _ in against]):.2f}",
+                PERSONAS[firmware].known.name, name, f"{100 * np.median([a for a, _ in against]):.2f}",
                 f"{100 * np.median([b for _, b in against]):.2f}", f"{100 * float(np.mean(spread or [0.0])):.2f}",
                 f"{100 * np.median(set_down):.1f}" if set_down else "", f"{np.median(touch):.2f}" if touch else "",
                 f"{real.largest_tension_N:.1f}", f"{np.median([m.largest_tension_N for m, _ in flown]):.1f}",

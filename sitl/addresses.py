@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 from bridge.wire.ports import GROUND_PORT, LISTEN_PORT, TRACKER_PORTS, Endpoint, stream_port, vehicle_ports
 from sitl.firmware.autopilot import LinkKind
+from sitl.firmware.personas import PERSONAS
 
 CONTROLLER = (250, 191)  # system and component whose answers may hold the clock
 
@@ -29,7 +30,7 @@ def places(firmware: tuple[str, ...], offset: int, host: str) -> list[Place]:
     streams = [
         Place(_end(host, offset, stream_port(i), None)._replace(stream=True), i, LinkKind.GROUND)
         for i, name in enumerate(firmware)
-        if name == "arducopter"
+        if PERSONAS[name].serves_tcp
     ]
     return [*onboard, *ground, *shared, *streams]
 

@@ -7,7 +7,8 @@ import numpy as np
 
 from cablequad.types import Array
 from sitl.firmware.autopilot import Autopilot
-from sitl.plant import Plant, UntetheredPlant
+from sitl.plant import Plant
+from sitl.untethered_plant import UntetheredPlant
 
 ASTRAY_M_S2 = 0.3  # how fast a position that nothing corrects runs away
 EMPTY_THRUST = 0.3  # of its thrust that a vehicle with an empty battery has
@@ -47,10 +48,10 @@ class ActiveFailures:
         while self._coming and released_us is not None and now - released_us >= self._coming[0].at_us:
             events.append(self._break(self._coming.pop(0), now, plant, vehicles))
         for i, vehicle in enumerate(vehicles):
-            for kind, rotor in vehicle.injected:
+            for kind, rotor in vehicle.breakage.injected:
                 events.append(self._break(Failure(0, kind, i, rotor, lasts_us=2**50), now, plant, vehicles))
-            vehicle.injected.clear()
-            if vehicle.hook_open and i not in self._hooks_open:
+            vehicle.breakage.injected.clear()
+            if vehicle.breakage.hook_open and i not in self._hooks_open:
                 self._hooks_open.add(i)
                 off = plant.cut(i)
                 events.append(

@@ -15,12 +15,13 @@ from cablequad.model.system import System
 from sitl.batteries import Battery
 from sitl.failures import Failure
 from sitl.instruments import Grades, Instruments
-from sitl.plant import Plant, Surroundings, Truth
+from sitl.parts import Surroundings
+from sitl.plant import Plant, Truth
 from sitl.sensors import Sensors
 from sitl.wind import Weather, Wind
 
 if TYPE_CHECKING:
-    from sitl.external.joint import External
+    from sitl.external.seats import External
 
 HOST = "127.0.0.1"
 

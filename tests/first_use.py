@@ -46,7 +46,7 @@ def vehicles(firmware: str, offset: int) -> set[tuple[str, Any]]:
                 vehicle.mode = type(vehicle.mode)[control]
             target = AttitudeTarget(server.now_us // 1000, i + 1, 1, 7, LEVEL, (0.0, 0.0, 0.0), 0.5)
             frame = Received(i, ("127.0.0.1", 1), 250, 191, 0, 82, "SET_ATTITUDE_TARGET", b"", target)
-            server._inbox[i].append((server.now_us, frame))
+            server.links.inbox[i].append((server.now_us, frame))
             if tick == 20:
                 vehicle.leave("LAND")
         server.plant.restrained = False

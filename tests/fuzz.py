@@ -116,7 +116,7 @@ def state(server: Server) -> list:
     for v in server.vehicles:
         values = [v.parameters.report(k) for k in range(len(v.parameters))]
         streams = [dict(s._interval) for s in v.streams]
-        out.append((v.mode_name, v.armed, v.failsafe, repr(values), streams, repr(v._target), v._ground_heard_us))
+        out.append((v.mode_name, v.armed, v.failsafe, repr(values), streams, repr(v._target.value), v._ground_heard_us))
     return out
 
 
@@ -198,8 +198,8 @@ def hear(server: Server, sender: socket.socket, addresses: list, batch: list[byt
     server._receive(0.0)
     server._receive(0.0)
     for i, vehicle in enumerate(server.vehicles):
-        server._inbox[i] = [(0, received) for _, received in server._inbox[i]]
-        server._deliver(i, vehicle, server.now_us)
+        server.links.inbox[i] = [(0, received) for _, received in server.links.inbox[i]]
+        server.links.deliver(i, vehicle, server.now_us)
 
 
 def check(server: Server) -> None:
@@ -207,8 +207,8 @@ def check(server: Server) -> None:
     server._one_tick()
     server._tick += 1
     for v in server.vehicles:
-        assert 0.0 <= v._throttle <= 1.0
-    assert not server._mishandled.counts
+        assert 0.0 <= v._shown[0] <= 1.0
+    assert not server.links.mishandled.counts
     assert np.isfinite(server.plant.thrust).all()
     x, v_ = server.plant.kinematics()
     if not (np.abs(x) < 1e4).all() or not np.isfinite(v_).all():

@@ -51,9 +51,10 @@ from missions.scenario.autopilots import behind
 from missions.scenario.loading import ScenarioError
 from sitl.external import ardupilot, px4
 from sitl.external.ardupilot import ArduPilotSeat, PacketError, servos
-from sitl.external.joint import AutopilotError, JointServer, Steps, steps
+from sitl.external.joint import JointServer, Steps, steps
 from sitl.external.px4 import Px4Seat
 from sitl.external.seat import Own, SeatError
+from sitl.external.seats import AutopilotError
 from sitl.instruments import Grades, Instruments
 from sitl.settings import plant_of
 

@@ -168,3 +168,14 @@ def listens(port: int, host: str = "127.0.0.1") -> bool:
     with socket.socket() as tried:
         tried.settimeout(1.0)
         return tried.connect_ex((host, port)) == 0
+
+
+def test_the_files_that_contributing_names_exist() -> None:
+    root = Path(__file__).resolve().parents[1]
+    named = re.findall(
+        r"`((?:cablequad|bridge|sitl|logs|missions|benchmarks)/[\w/]+)(?:\.py)?`",
+        (root / "CONTRIBUTING.md").read_text(),
+    )
+    assert len(named) > 60
+    missing = [name for name in named if not (root / name).is_dir() and not (root / f"{name}.py").is_file()]
+    assert [name for name in missing if "NAME" not in name] == []

@@ -2,7 +2,7 @@
 
 import socket
 from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 import pytest
@@ -12,15 +12,16 @@ from test_arducopter import flying as arducopter_flying
 from test_px4 import flying as px4_flying
 from workbench import BODY, LINKS, TICK, Bench, target
 
+from bridge.fleet.profiles import PROFILES
 from bridge.fleet.sources import Sources
 from bridge.wire.dialect import mavlink
 from bridge.wire.frames import frame
 from bridge.wire.link import Received
 from bridge.wire.messages import KINDS, decode, encode
 from bridge.wire.values import IN_AIR, Heartbeat, ParamRequestRead, Ping
-from sitl.firmware.arducopter import ArduCopter
+from missions.scenario.tables import Firmware
 from sitl.firmware.autopilot import Autopilot
-from sitl.firmware.px4 import Px4
+from sitl.firmware.personas import PERSONAS
 from sitl.settings import Event
 
 HERE = 1  # the vehicle's own system id
@@ -46,7 +47,6 @@ MAY_CHANGE: dict[str, frozenset[str]] = {
     "REQUEST_DATA_STREAM": frozenset({"streams"}),
     "HEARTBEAT": frozenset({"ground heard"}),
 }
-PERSONAS = {"px4": Px4, "arducopter": ArduCopter}
 FLYING: dict[str, Callable[[], Bench]] = {"px4": px4_flying, "arducopter": arducopter_flying}
 
 
@@ -58,11 +58,11 @@ class Moment(NamedTuple):
 
 
 def _booting(persona: str) -> Bench:
-    return Bench(PERSONAS[persona](HERE, TICK, LINKS, BODY))
+    return Bench(PERSONAS[persona].vehicle(HERE, TICK, LINKS, BODY))
 
 
 def _on_the_ground(persona: str) -> Bench:
-    b = Bench(PERSONAS[persona](HERE, TICK, LINKS, BODY, 0))
+    b = Bench(PERSONAS[persona].vehicle(HERE, TICK, LINKS, BODY, 0))
     b.tick(10, target())
     return b
 
@@ -77,13 +77,13 @@ MOMENTS = (Moment("booting", _booting), Moment("on the ground", _on_the_ground),
 def essence(v: Autopilot) -> dict[str, Any]:
     """Everything of a vehicle that a message may change, by the names of MAY_CHANGE."""
     return {
-        "armed": (v.armed, v.hook_open, repr(v.injected)),
+        "armed": (v.armed, v.breakage.hook_open, repr(v.breakage.injected)),
         "mode": v.mode_name,
         "parameters": repr([v.parameters.report(k) for k in range(len(v.parameters))]),
-        "target": (repr(v._target), v._target_at_us),
+        "target": (repr(v._target.value), v._target.at_us),
         "streams": [dict(s._interval) for s in v.streams],
         "failsafe": v.failsafe,
-        "hook": v.hook_open,
+        "hook": v.breakage.hook_open,
         "ground heard": v._ground_heard_us,
         "goal": (v.navigator.active, repr(v.navigator.goal)),
     }
@@ -97,6 +97,13 @@ def frames(kinds: dict[int, Any], rng: np.random.Generator, given: dict[str, int
 def _settled(b: Bench) -> None:
     """Two ticks, in flight under a fresh setpoint."""
     b.tick(2, target() if b.vehicle.landed == IN_AIR else None)
+
+
+def test_a_firmware_is_one_row_that_scenario_bridge_and_vehicles_agree_on() -> None:
+    assert set(PERSONAS) == set(get_args(Firmware))
+    assert {row.vehicle.autopilot for row in PERSONAS.values()} == set(PROFILES)
+    for row in PERSONAS.values():
+        assert PROFILES[row.vehicle.autopilot].name == row.known.name
 
 
 @pytest.mark.parametrize("persona", PERSONAS)
@@ -180,7 +187,7 @@ def test_a_handler_that_fails_costs_its_frame_is_counted_and_told_once(offset: i
         server._tick += 1
     server.close()
     sender.close()
-    assert server._mishandled.counts == {"PARAM_REQUEST_READ": 3}
+    assert server.links.mishandled.counts == {"PARAM_REQUEST_READ": 3}
     assert [e.kind for e in told].count("mishandled") == 1
     assert "PARAM_REQUEST_READ of 255/190 could not be handled" in next(e.text for e in told if e.kind == "mishandled")
     assert server.report().mishandled == {"PARAM_REQUEST_READ": 3}

@@ -19,7 +19,7 @@ from logs.reading.records import entries
 from logs.schema import cablequad_pb2 as pb
 from missions.analysis.identify import identified
 from missions.analysis.replay_control import flight_of
-from missions.scenario.known import KNOWN
+from sitl.firmware.personas import PERSONAS
 
 FLOWN = Path(__file__).resolve().parents[2] / "shared" / "flown"
 FIRMWARE = {"arducopter": False, "px4": True}
@@ -86,7 +86,7 @@ def test_arducopter_boots_in_the_order_of_the_stand_in() -> None:
 def test_how_they_answer_is_what_is_known_of_them_and_what_the_stand_ins_are_set_to(firmware: str) -> None:
     """12.4 to 13.4 rad/s, damping 0.83 to 0.86, 43 to 55 ms, and 10.1 to 10.4, 1.06 to 1.08, 33 to 37 ms."""
     path = FLOWN / f"{firmware}-identify.mcap"
-    found, known = identified(path, flight_of(path)), KNOWN[firmware]
+    found, known = identified(path, flight_of(path)), PERSONAS[firmware].known
     assert len(found) == 4
     for r in found:
         assert r.bandwidth_rad_s == pytest.approx(known.bandwidth_rad_s, abs=0.7)

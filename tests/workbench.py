@@ -9,7 +9,8 @@ from bridge.wire.messages import reread
 from bridge.wire.values import IN_AIR, ON_GROUND, AttitudeTarget, Command, CommandAck, Heartbeat, StatusText
 from cablequad.model import lie
 from cablequad.model.earth import Home
-from sitl.firmware.autopilot import ATTITUDE_QUATERNION, Actuation, Autopilot, Body, LinkKind, Outgoing
+from sitl.firmware.autopilot import Actuation, Autopilot, Body, LinkKind
+from sitl.firmware.outbox import ATTITUDE_QUATERNION, Outgoing
 from sitl.firmware.telemetry import BUILD, Snapshot
 
 TICK = 4000
@@ -52,7 +53,7 @@ class Bench:
         """Everything that is said at this tick, what closes it last."""
         s, vehicle = self.snapshot(), self.vehicle
         out = vehicle.outgoing(s, audible)
-        return out + [Outgoing(link, BUILD[ATTITUDE_QUATERNION](s)) for link in vehicle.closing]
+        return out + [Outgoing(link, BUILD[ATTITUDE_QUATERNION](s)) for link in vehicle.out.closing]
 
     def snapshot(self) -> Snapshot:
         return self.vehicle.snapshot(self.now, self.R, self.Omega, *self.point, np.zeros(3), Home())

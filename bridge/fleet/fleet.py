@@ -68,6 +68,46 @@ USUAL = FleetOptions()
 _RESULTS = {1: "temporarily rejected", 2: "denied", 3: "unsupported", 4: "failed"}
 
 
+class ThrustCommands:
+    """The setpoints of all, with thrust as each vehicle's firmware reads it."""
+
+    def __init__(self, max_thrust_N: list[float], density_ratio: float) -> None:
+        """`max_thrust_N` of each, in the air where it flies; `density_ratio` of that air to that at sea level."""
+        self._max_thrust_N, self._density = max_thrust_N, density_ratio
+        self._laws: list[ThrustLaw] = [MotorCommand(limit) for limit in max_thrust_N]
+        self._batch = Setpoints(len(max_thrust_N))
+
+    def learn(self, v: Vehicle) -> None:
+        """The parameters of a vehicle say how it reads thrust."""
+        if v.profile is not None:
+            self._laws[v.system - 1] = v.profile.law(self._max_thrust_N[v.system - 1], v.parameters, self._density)
+
+    def setpoints(self, sample: Sample, boot_ms: int) -> Setpoints:
+        """Of a decision. Raises WireError where one is not finite."""
+        asked = zip(self._laws, sample.f.tolist(), sample.R_c[:, 2, 2].tolist(), strict=True)
+        self._batch.tell(boot_ms, sample.R_c, [law.field(thrust, upright) for law, thrust, upright in asked])
+        return self._batch
+
+
+class _Outbox:
+    """What waits to be sent or told."""
+
+    def __init__(self) -> None:
+        self.requests: list[Request] = []
+        self.heartbeat_at = 0.0
+        self.texts: list[tuple[int, StatusText]] = []
+        self.setpoints_since = math.inf
+
+
+class _Heard:
+    """What was heard of the payload tracker, and of the clock."""
+
+    def __init__(self) -> None:
+        self.tracker = False
+        self.on_stands = False  # as far as the tracker says
+        self.now = 0.0  # of the vehicles' clock
+
+
 class Fleet:
     """The protocol side of n vehicles: `feed` what they say, send what is `due`."""
 
@@ -77,42 +117,45 @@ class Fleet:
         A flight begins when all carry themselves, a mission from the ground when all are armed. Without cables
         measured, positions are in the loop.
         """
-        grounded, sensing = options.grounded, options.sensing
-        self.n = len(max_thrust_N)
         self.failure: str | None = None
         self.incomplete = ""  # what keeps the state from being whole, in words
         self.released_at: float | None = None
         self.flying = False  # whether every vehicle that is not lost carries itself under our command
-        self._vehicles = [Vehicle(i + 1) for i in range(self.n)]
-        self._max_thrust_N = max_thrust_N
-        self._laws: list[ThrustLaw] = [MotorCommand(limit) for limit in max_thrust_N]
-        self._setpoints = Setpoints(self.n)
-        self._configure, self._density = options.configure, options.density_ratio
-        self._readbacks = [Readback(expected) for expected in options.expected]
-        self._answers: list[Request] = []
-        self._period_s = period_s
-        period_us = round(period_s * 1e6)
-        self._intervals_us = {msgid: asked or period_us for msgid, asked in STREAMS_US.items()}
-        self._intervals_us[mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION] = period_us // options.attitude_rate
-        self._grounded, self._air_start = grounded, options.airborne or not grounded
-        self.may_arm = not grounded
+        self.may_arm = not options.grounded
         self.departed: dict[int, tuple[float, str]] = {}  # vehicles (from 0) that do something else: when to act, why
         self.astray: set[int] = set()  # vehicles (from 0) that do not know where they are
+        self._options, self._period_s = options, period_s
+        self._vehicles = [Vehicle(i + 1) for i in range(len(max_thrust_N))]
+        self._thrust = ThrustCommands(max_thrust_N, options.density_ratio)
+        self._readbacks = [Readback(expected) for expected in options.expected]
+        self._outbox = _Outbox()
         self._lost: set[int] = set()
-        if sensing != "full" or grounded:
-            self._intervals_us[mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED] = period_us
-        self._needs_tracker = sensing != "vehicles"
-        self._setpoints_since: float | None = None
-        self._next_heartbeat = 0.0
-        self._now = 0.0  # of the vehicles' clock, as far as it was heard
-        self._tracker_heard = False
-        self._on_stands = False  # as far as the tracker says
-        self._texts: list[tuple[int, StatusText]] = []
+        self._heard = _Heard()
+
+    @property
+    def n(self) -> int:
+        """How many vehicles there are."""
+        return len(self._vehicles)
+
+    @property
+    def _intervals_us(self) -> dict[int, int]:
+        """Of the messages that are asked for."""
+        o, period_us = self._options, round(self._period_s * 1e6)
+        intervals = {msgid: asked or period_us for msgid, asked in STREAMS_US.items()}
+        intervals[mavlink.MAVLINK_MSG_ID_ATTITUDE_QUATERNION] = period_us // o.attitude_rate
+        if o.sensing != "full" or o.grounded:
+            intervals[mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED] = period_us
+        return intervals
 
     @property
     def stages(self) -> list[Stage]:
         """Where each vehicle is."""
         return [v.stage for v in self._vehicles]
+
+    @property
+    def _airborne(self) -> bool:
+        """Whether a flight begins in the air."""
+        return self._options.airborne or not self._options.grounded
 
     @property
     def _own(self) -> list[Vehicle]:
@@ -164,8 +207,8 @@ class Fleet:
             end = command(v, mavlink.MAV_CMD_NAV_LAND)
         for _ in range(LOST_TWICE):  # a frame may be lost
             if hooks:
-                self._answers.append(Request(v.system, command(v, mavlink.MAV_CMD_DO_GRIPPER, 1, 0)))
-            self._answers.append(Request(v.system, end))
+                self._outbox.requests.append(Request(v.system, command(v, mavlink.MAV_CMD_DO_GRIPPER, 1, 0)))
+            self._outbox.requests.append(Request(v.system, end))
 
     @property
     def at_rest(self) -> bool:
@@ -175,15 +218,17 @@ class Fleet:
     def unheard(self) -> list[str]:
         """Who has not been heard yet: `vehicle k` or `the payload tracker`."""
         missing = [f"vehicle {v.system}" for v in self._vehicles if v.stage is Stage.HEARTBEAT]
-        return missing if self._tracker_heard or not self._needs_tracker else [*missing, "the payload tracker"]
+        return (
+            missing if self._heard.tracker or self._options.sensing == "vehicles" else [*missing, "the payload tracker"]
+        )
 
     def feed(self, source: int, component: int, value: Any, now: float) -> None:
         """Take one value from system `source`."""
         self._hear_clock(now)
         if source == TRACKER:
-            self._tracker_heard = True
+            self._heard.tracker = True
             if isinstance(value, LandedState):
-                self._on_stands = value.landed != IN_AIR
+                self._heard.on_stands = value.landed != IN_AIR
                 self._begin_in_air(now)
         if not 1 <= source <= self.n or component != 1:
             return
@@ -202,7 +247,7 @@ class Fleet:
                 if value.name in v.profile.parameters:
                     self._parameter(v, value)
             case Timesync() if value.tc1 == 0:
-                self._answers.append(Request(source, Timesync(round(now * 1e9), value.ts1)))
+                self._outbox.requests.append(Request(source, Timesync(round(now * 1e9), value.ts1)))
             case LandedState():
                 v.landed = value.landed
                 self._begin_in_air(now)
@@ -215,7 +260,7 @@ class Fleet:
             case StatusText():
                 v.text = v.text + value.text if value.chunk > 0 else value.text
                 if value.id == 0 or len(value.text) < TEXT_BYTES:
-                    self._texts.append((source, value._replace(text=v.text)))
+                    self._outbox.texts.append((source, value._replace(text=v.text)))
                     if value.severity <= 4:
                         v.refusal = v.text
             case _:
@@ -223,14 +268,14 @@ class Fleet:
 
     def _begin_in_air(self, now: float) -> None:
         """A flight that starts in the air begins when everyone says that it flies, and no stand holds them."""
-        flies = all(u.landed == IN_AIR for u in self._vehicles) and not self._on_stands
-        if self._air_start and self.released_at is None and flies:
+        flies = all(u.landed == IN_AIR for u in self._vehicles) and not self._heard.on_stands
+        if self._airborne and self.released_at is None and flies:
             self.released_at = now
             self._consider()
 
     def texts(self) -> list[tuple[int, StatusText]]:
         """STATUSTEXTs since the last call, with their vehicle."""
-        out, self._texts = self._texts, []
+        out, self._outbox.texts = self._outbox.texts, []
         return out
 
     def not_taken(self) -> list[tuple[int, list[str]]]:
@@ -244,8 +289,7 @@ class Fleet:
 
     def observed(self, now: float, gaps_m: list[float]) -> None:
         """A complete state was seen and answered; `gaps_m` is each vehicle's distance from where its cable puts it."""
-        if self._setpoints_since is None:
-            self._setpoints_since = now
+        self._outbox.setpoints_since = min(self._outbox.setpoints_since, now)
         for v, gap in zip(self._vehicles, gaps_m, strict=True):
             if gap > POSITION_GAP_M and v.stage is Stage.SETPOINTS:
                 self._fail(f"vehicle {v.system} reports a position {gap:.2f} m from where its cable puts it")
@@ -253,9 +297,9 @@ class Fleet:
     def due(self, now: float) -> list[Request]:
         """What to send now; also moves stages on and notices who is silent or stuck."""
         self._hear_clock(now)
-        out, self._answers = self._answers, []
-        if now >= self._next_heartbeat:
-            self._next_heartbeat = now + HEARTBEAT_S
+        out, self._outbox.requests = self._outbox.requests, []
+        if now >= self._outbox.heartbeat_at:
+            self._outbox.heartbeat_at = now + HEARTBEAT_S
             beat = Heartbeat(
                 mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE
             )
@@ -274,9 +318,7 @@ class Fleet:
 
     def setpoints(self, sample: Sample, boot_ms: int) -> Setpoints:
         """The attitude-and-thrust setpoints of a decision. Raises WireError where one is not finite."""
-        asked = zip(self._laws, sample.f.tolist(), sample.R_c[:, 2, 2].tolist(), strict=True)
-        self._setpoints.tell(boot_ms, sample.R_c, [law.field(thrust, upright) for law, thrust, upright in asked])
-        return self._setpoints
+        return self._thrust.setpoints(sample, boot_ms)
 
     def hold(self, now: float) -> None:
         """Ask every vehicle in command to take over by itself."""
@@ -292,13 +334,13 @@ class Fleet:
 
         fault: no vehicle was silent or slow in it.
         """
-        gap = now - self._now
+        gap = now - self._heard.now
         if gap > GAP_S:
             for v in self._vehicles:
                 v.heard_at += gap
                 v.since += gap
             self.departed = {k: (act_at + gap, why) for k, (act_at, why) in self.departed.items()}
-        self._now = max(self._now, now)
+        self._heard.now = max(self._heard.now, now)
 
     def _fail(self, text: str) -> None:
         if self.failure is None:
@@ -306,7 +348,7 @@ class Fleet:
 
     def _depart(self, v: Vehicle, text: str, now: float, patience_s: float = 0.0) -> None:
         """A mission may go on without a vehicle that does something else; any other flight ends."""
-        if self._grounded:
+        if self._options.grounded:
             self.departed.setdefault(v.system - 1, (now + patience_s, text))
         else:
             self._fail(f"vehicle {v.system} {text}")
@@ -352,18 +394,18 @@ class Fleet:
             v.refusal = f"parameter {value.name} is {number:g}"
             return
         if value.name == "GUID_OPTIONS" and not int(number) & THRUST_NOT_CLIMB:
-            if not self._configure:
+            if not self._options.configure:
                 self._fail(
                     f"vehicle {v.system}: GUID_OPTIONS is {number:g}, so thrust would mean climb rate; "
                     f"set it to {int(number) | THRUST_NOT_CLIMB}, or fly with --configure"
                 )
                 return
             wish = float(int(number) | THRUST_NOT_CLIMB)
-            self._answers.append(Request(v.system, ParamSet(v.system, 1, value.name, wish, value.type)))
+            self._outbox.requests.append(Request(v.system, ParamSet(v.system, 1, value.name, wish, value.type)))
             return  # the vehicle's answer to this one says whether it took it
         v.parameters[value.name] = number
         if v.profile is not None:
-            self._laws[v.system - 1] = v.profile.law(self._max_thrust_N[v.system - 1], v.parameters, self._density)
+            self._thrust.learn(v)
 
     def _clock(self, v: Vehicle, boot_ms: int) -> None:
         if boot_ms < v.clock_ms - REBOOT_MS and v.stage < Stage.HOLD:
@@ -395,7 +437,7 @@ class Fleet:
             case Stage.PARAMETERS:
                 return v.missing_parameter() is None
             case Stage.SETPOINTS:
-                return self._setpoints_since is not None and now - self._setpoints_since >= STREAM_FIRST_S
+                return now - self._outbox.setpoints_since >= STREAM_FIRST_S
             case Stage.CONTROL:
                 return beat is not None and v.profile is not None and beat.custom_mode == v.profile.control[1]
             case Stage.ARM:
@@ -420,7 +462,7 @@ class Fleet:
             v.since = now  # its own part is done; it waits for the others
             return
         self._enter(v, following, now)
-        if not self._air_start and self.released_at is None and all(u.stage is Stage.FLY for u in self._vehicles):
+        if not self._airborne and self.released_at is None and all(u.stage is Stage.FLY for u in self._vehicles):
             self.released_at = now
             self._consider()
 

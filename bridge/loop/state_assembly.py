@@ -76,18 +76,26 @@ class _Parts:
         self.links_missing = many
 
 
+class _LastReports:
+    """What each vehicle and the tracker said last, whenever that was."""
+
+    def __init__(self, n: int) -> None:
+        self.at_ms = [-1] * n  # when each vehicle told its position
+        self.x, self.v = np.full((n, 3), np.nan), np.zeros((n, 3))
+        self.R: dict[int, VehicleAttitude] = {}
+        self.load: PayloadState | None = None
+        self.cable_ms = [-1] * n
+
+
 class StateAssembler:
     """Collects values by time stamp; `estimate` is the state at one of them."""
 
     def __init__(self, loop: LoopModel) -> None:
         self._loop = loop
-        self._n, self._L = loop.system.length.shape
-        self._kept = (
-            KEPT * loop.attitude_rate * (1 if loop.attitude_rate == 1 else self._n)
-        )  # each at a time of its own
-        self._links_of = loop.system.n_links.tolist()
-        self._links = sum(self._links_of)
-        self._hanging = np.tile((0.0, 0.0, 1.0, 0.0, 0.0, 0.0), (self._n, self._L, 1))
+        self._links_of: list[int] = loop.system.n_links.tolist()
+        apart = 1 if loop.attitude_rate == 1 else self._n  # each at a time of its own
+        self._kept = KEPT * loop.attitude_rate * apart
+        self._hanging = np.tile((0.0, 0.0, 1.0, 0.0, 0.0, 0.0), (*loop.system.length.shape, 1))
         self._parts: dict[int, _Parts] = {}
         self._known: dict[int, tuple[Belief, int]] = {}  # estimates and the stamp that their oldest part rests on
         self._no_force = np.zeros((self._n, 3))
@@ -95,42 +103,41 @@ class StateAssembler:
         self._newest_ms = -1
         self._oldest_new = -1  # the earliest stamp of which something new is known; -1: none
         self._tension = np.zeros(self._n)
-        self._unreported = np.full(self._n, np.nan)
         self._moving = False
         self._slack = False
         self._begun = False
-        self._reported_ms = [-1] * self._n  # when each vehicle told its position last
-        self._reported_load: PayloadState | None = None
-        self._reported_cable_ms = [-1] * self._n
-        self._reported_R: dict[int, VehicleAttitude] = {}
-        self._reported_x, self._reported_v = np.full((self._n, 3), np.nan), np.zeros((self._n, 3))
+        self._last = _LastReports(self._n)
+
+    @property
+    def _n(self) -> int:
+        return len(self._links_of)
 
     def inherit(self, before: "StateAssembler", rest: list[int]) -> None:
         """Know what `before` was told last by those of its vehicles (from 0) that are left: the silent say no more."""
-        self._reported_load = before._reported_load
+        self._last.load = before._last.load
         for own, i in enumerate(rest):
-            self._reported_ms[own] = before._reported_ms[i]
-            self._reported_x[own], self._reported_v[own] = before._reported_x[i], before._reported_v[i]
-            if i in before._reported_R:
-                self._reported_R[own] = before._reported_R[i]
+            self._last.at_ms[own] = before._last.at_ms[i]
+            self._last.x[own], self._last.v[own] = before._last.x[i], before._last.v[i]
+            if i in before._last.R:
+                self._last.R[own] = before._last.R[i]
 
     def feed(self, source: int, value: object) -> None:
         """Take one value from the vehicle with system id `source`, or from the tracker."""
         match value:
             case VehicleAttitude() if 1 <= source <= self._n:
                 parts = self._of(value.boot_ms)
-                parts.attitudes[source - 1] = self._reported_R[source - 1] = value
+                parts.attitudes[source - 1] = self._last.R[source - 1] = value
                 parts.frames[source - 1] = value.frame
             case VehiclePosition() if 1 <= source <= self._n:
                 self._of(value.boot_ms).positions[source - 1] = value
                 if (
-                    value.boot_ms > self._reported_ms[source - 1]
-                    or value.boot_ms < self._reported_ms[source - 1] - REBOOT_MS
+                    value.boot_ms > self._last.at_ms[source - 1]
+                    or value.boot_ms < self._last.at_ms[source - 1] - REBOOT_MS
                 ):
-                    self._reported_ms[source - 1] = value.boot_ms
-                    self._reported_x[source - 1], self._reported_v[source - 1] = value.x, value.v
+                    self._last.at_ms[source - 1] = value.boot_ms
+                    self._last.x[source - 1], self._last.v[source - 1] = value.x, value.v
             case PayloadState() if source > self._n and self._loop.sensing != "vehicles":
-                self._of(value.boot_us // 1000).payload = self._reported_load = value
+                self._of(value.boot_us // 1000).payload = self._last.load = value
             case CableShape() if source > self._n and self._loop.sensing == "full":
                 self._cable(value)
             case _:
@@ -160,16 +167,16 @@ class StateAssembler:
             return None
         else:
             belief, rests_on = self._carried(boot_ms)
-            state, age = belief.state, boot_ms - (min(self._reported_ms) if self._slack else rests_on)
+            state, age = belief.state, boot_ms - (min(self._last.at_ms) if self._slack else rests_on)
         self._begun = True
         self._oldest_new = -1
         self._forget(self._known)
-        gap = self._unreported.copy()
+        gap = np.full(self._n, np.nan)
         if parts is not None:
             if parts.links_missing == 0:
                 self._tension = parts.tension
             elif self._loop.sensing != "full":
-                self._tension = self._unreported
+                self._tension = np.full(self._n, np.nan)
             if parts.positions:
                 hung = positions(self._loop.system, state)
                 for i, said in parts.positions.items():
@@ -196,8 +203,8 @@ class StateAssembler:
 
     def reported(self, boot_ms: int) -> tuple[Array, Array, Array]:
         """x (n, 3) m where vehicles said they are, carried on by v (n, 3) m/s to `boot_ms`, and its age (n,) s."""
-        since = np.maximum(boot_ms - np.array(self._reported_ms), 0) * 1e-3
-        return self._reported_x + since[:, None] * self._reported_v, self._reported_v.copy(), since
+        since = np.maximum(boot_ms - np.array(self._last.at_ms), 0) * 1e-3
+        return self._last.x + since[:, None] * self._last.v, self._last.v.copy(), since
 
     def known(self, boot_ms: int) -> tuple[State, Array] | None:
         """The state and the tensions (n,) N of an instant whose cables were measured."""
@@ -221,10 +228,10 @@ class StateAssembler:
                 for store in (self._parts, self._known, self._commands):
                     store.clear()
                 self._begun = False
-                self._reported_cable_ms = [-1] * self._n
+                self._last.cable_ms = [-1] * self._n
                 self._newest_ms = boot_ms
             self._newest_ms = max(self._newest_ms, boot_ms)
-            parts = self._parts[boot_ms] = _Parts(self._hanging, self._links)
+            parts = self._parts[boot_ms] = _Parts(self._hanging, sum(self._links_of))
             self._forget(self._parts)
         if self._oldest_new < 0 or boot_ms < self._oldest_new:
             self._oldest_new = boot_ms
@@ -236,7 +243,7 @@ class StateAssembler:
 
     def _cable(self, c: CableShape) -> None:
         i, k, first = c.cable - 1, len(c.links), c.first_link
-        if not 0 <= i < self._n or c.n_links != self._links_of[i] or first + k > self._L:
+        if not 0 <= i < self._n or c.n_links != self._links_of[i] or first + k > self._hanging.shape[1]:
             return
         parts = self._of(c.boot_us // 1000)
         if parts.cable_links[i] >= self._links_of[i]:
@@ -246,7 +253,7 @@ class StateAssembler:
         parts.links_missing -= k
         parts.tension[i] = c.tension_N
         if parts.cable_links[i] >= self._links_of[i]:
-            self._reported_cable_ms[i] = max(self._reported_cable_ms[i], c.boot_us // 1000)
+            self._last.cable_ms[i] = max(self._last.cable_ms[i], c.boot_us // 1000)
 
     def _begin(self) -> bool:
         """Whether some instant is known whole, from which the model can lead on."""
@@ -266,15 +273,15 @@ class StateAssembler:
         """Begin with vehicles that keep their own time: what is held is at the tracker's stamp as they told it last."""
         if self._loop.filter is not None:
             return self._begin_among_vehicles(self._loop.filter)
-        if len(self._reported_R) < self._n:
+        if len(self._last.R) < self._n:
             return False
         for stamp in sorted(self._parts, reverse=True):
             parts = self._parts[stamp]
             beside = any(
                 stamped.boot_ms % self._loop.period_ms != stamp % self._loop.period_ms
-                for stamped in self._reported_R.values()
+                for stamped in self._last.R.values()
             )
-            state = self._measured(parts, self._reported_R) if beside else None
+            state = self._measured(parts, self._last.R) if beside else None
             if state is not None:
                 self._known[stamp] = (Belief(state, self._no_force), min(stamp, self._oldest_reported()))
                 return True
@@ -285,30 +292,30 @@ class StateAssembler:
 
         Before they fly they stand or are held: each is where it reported last.
         """
-        apart = len({ms % self._loop.period_ms for ms in self._reported_ms}) > 1
-        if self._loop.sensing != "vehicles" or not apart or min(self._reported_ms) < 0:
+        apart = len({ms % self._loop.period_ms for ms in self._last.at_ms}) > 1
+        if self._loop.sensing != "vehicles" or not apart or min(self._last.at_ms) < 0:
             return False
-        if len(self._reported_R) < self._n or not self._parts:
+        if len(self._last.R) < self._n or not self._parts:
             return False
         measured = nothing_measured(self._loop.system)
         for i in range(self._n):
-            measured.x[i], measured.v[i] = self._reported_x[i], self._reported_v[i]
-            measured.R[i], measured.Omega[i] = self._reported_R[i].R, self._reported_R[i].Omega
+            measured.x[i], measured.v[i] = self._last.x[i], self._last.v[i]
+            measured.R[i], measured.Omega[i] = self._last.R[i].R, self._last.R[i].Omega
         belief = first_belief(filter, measured)
         if belief is None:
             return False
-        self._known[max(self._parts)] = (belief, min(self._reported_ms))
+        self._known[max(self._parts)] = (belief, min(self._last.at_ms))
         return True
 
     def _oldest_reported(self) -> int:
         """The stamp (ms) that the source which was silent for longest spoke of last; -1 before all have spoken."""
-        stamps = [stamped.boot_ms for stamped in self._reported_R.values()]
+        stamps = [stamped.boot_ms for stamped in self._last.R.values()]
         if len(stamps) < self._n:
             return -1
         if self._loop.sensing == "full":
             stamps += [
-                -1 if self._reported_load is None else self._reported_load.boot_us // 1000,
-                *self._reported_cable_ms,
+                -1 if self._last.load is None else self._last.load.boot_us // 1000,
+                *self._last.cable_ms,
             ]
         return min(stamps)
 
@@ -318,7 +325,7 @@ class StateAssembler:
         Where cables are slack little moves: what this stamp does not tell is as it was told last.
         """
         measured = self._measurements(parts)
-        load = self._reported_load
+        load = self._last.load
         if self._slack and load is None:
             return None
         if load is not None:
@@ -326,9 +333,9 @@ class StateAssembler:
                 measured = measured._replace(x0=load.x0, v0=load.v0, R0=load.R0, Omega0=load.Omega0)
             for i in range(self._n):
                 if i not in parts.positions:
-                    measured.x[i], measured.v[i] = self._reported_x[i], self._reported_v[i]
-                if i not in parts.attitudes and i in self._reported_R:
-                    measured.R[i], measured.Omega[i] = self._reported_R[i].R, self._reported_R[i].Omega
+                    measured.x[i], measured.v[i] = self._last.x[i], self._last.v[i]
+                if i not in parts.attitudes and i in self._last.R:
+                    measured.R[i], measured.Omega[i] = self._last.R[i].R, self._last.R[i].Omega
         return first_belief(filter, measured)
 
     def _measurements(self, parts: _Parts) -> Measured:

@@ -212,7 +212,9 @@ def continuous_law(system: System, airframe: Airframe, weights: Weights, period:
     gains = [K[:, :D], K[:, D:], *(np.zeros((U, width)) for width in (2 * n, 2 * n, U * delay, 6))]
     no_limit = Authority(np.inf, np.full(n, -np.inf), np.full(n, np.inf), np.inf, False)
     never = SwingDamping(np.inf, np.inf, 1.0, 0.0, 0.0, 0.0, 0, period)
-    return _design(system, airframe, period, delay, gains, np.zeros(6), no_limit, never)
+    return _design(
+        system, airframe, period, delay, gains, integrated=np.zeros(6), authority=no_limit, swing_damping=never
+    )
 
 
 def sampled_law(system: System, airframe: Airframe, weights: Weights, period: float, delay: int) -> Design:
@@ -244,7 +246,10 @@ def sampled_law(system: System, airframe: Airframe, weights: Weights, period: fl
     D = len(Q_x) // 2 - 2 * n
     gains = [*np.split(K[:, :S] @ loop.onto, np.cumsum([D, D, 2 * n]), axis=1), K[:, S + k :], K_integral]
     swing_damping = _swing_damping(system, airframe, share, period)
-    return _design(system, airframe, period, delay, gains, integrated, _authority(system, airframe), swing_damping)
+    authority = _authority(system, airframe)
+    return _design(
+        system, airframe, period, delay, gains, integrated=integrated, authority=authority, swing_damping=swing_damping
+    )
 
 
 def loop_gains(design: Design, loop: SampledLoop) -> Array:

@@ -33,6 +33,84 @@ EPOCH_NS = 1_700_000_000_000_000_000  # log_time of the vehicles' clock at zero,
 TRACKER = 200
 
 
+class RecorderError(Exception):
+    """A recording that cannot begin; the message says why and what to do."""
+
+
+class LogFile:
+    """The file: NAME.mcap.part until its end, cut back to its last whole chunk where a write fails."""
+
+    def __init__(self, path: Path, names: Mapping[int, str] | None) -> None:
+        """`names` of messages by their id. Raises RecorderError where it cannot be written."""
+        self.path = path
+        self.part = path.with_name(path.name + ".part")
+        self.error: str | None = None
+        self._channels: dict[str, int] = {}
+        self._good_offset = 0
+        if path.exists():
+            raise RecorderError(f"log {path}: exists already; choose another with --out")
+        try:
+            self._file = open(self.part, "xb", buffering=1 << 20)  # noqa: SIM115 - closed at the end
+        except FileExistsError:
+            raise RecorderError(f"log {self.part}: another recorder writes it; choose another with --out") from None
+        except OSError as error:
+            raise RecorderError(f"log {self.part}: {error.strerror}; choose another folder with --out") from None
+        self.writer = LogWriter(self._file, CHUNK_BYTES, names)
+        self.writer.start(profile="", library="cablequad")
+        self._synced = time.monotonic()
+
+    def begun(self) -> None:
+        """What stands at the beginning is in the file."""
+        self._file.flush()
+        self._synced = time.monotonic()
+
+    def attempt(self, job: Callable[[], None]) -> None:
+        """What comes after a failed write has nowhere to go."""
+        if self.error is None:
+            try:
+                job()
+            except OSError as error:
+                self._give_up(error)
+
+    def put(self, waiting: PendingMessages) -> None:
+        """Messages into the open chunk."""
+        for topic in dict.fromkeys(waiting.topics):
+            if topic not in self._channels:
+                self._channels[topic] = self._registered(topic)
+        self.writer.add_messages(waiting, self._channels, time.time_ns())
+
+    def flush(self) -> None:
+        """Close the chunk."""
+        self.writer.flush()  # type: ignore[no-untyped-call]
+        self._good_offset = self._file.tell()
+        now = time.monotonic()
+        if now - self._synced >= SYNC_S:
+            self._synced = now
+            os.fdatasync(self._file.fileno())
+
+    def end(self) -> None:
+        """Write everything out."""
+        self.writer.finish()  # type: ignore[no-untyped-call]
+        self._file.flush()
+        os.fsync(self._file.fileno())
+        self._file.close()
+
+    def _give_up(self, error: OSError) -> None:
+        self.error = f"log {self.part}: {error.strerror or error}; kept up to the last flush"
+        descriptor = os.dup(self._file.fileno())
+        with contextlib.suppress(OSError):
+            self._file.close()
+        os.ftruncate(descriptor, self._good_offset)
+        os.close(descriptor)
+
+    def _registered(self, topic: str) -> int:
+        kind = _TYPES.get(topic, pb.MavlinkFrame)
+        schema = self.writer.register_schema(
+            kind.DESCRIPTOR.full_name, "protobuf", build_file_descriptor_set(kind).SerializeToString()
+        )
+        return self.writer.register_channel(topic, "protobuf", schema)
+
+
 class _Rooms(dict[int, str]):
     """Topics of frames one way, by the other system."""
 
@@ -43,10 +121,6 @@ class _Rooms(dict[int, str]):
         who = "payload" if system == TRACKER else f"quad{system}"
         topic = self[system] = f"/mavlink/{who}/{self._way}"
         return topic
-
-
-class RecorderError(Exception):
-    """A recording that cannot begin; the message says why and what to do."""
 
 
 class Attachment(NamedTuple):
@@ -102,36 +176,31 @@ class Recorder:
 
         `names` of messages by their id. Raises RecorderError where the file cannot be written.
         """
-        self.path = path
-        self.part = path.with_name(path.name + ".part")
-        self.error: str | None = None
+        self._file = LogFile(path, names)
         self._model = model
         self._epoch_ns = epoch_ns
-        self._channels: dict[str, int] = {}
         self._rooms = {way: _Rooms(way) for way in ("rx", "tx")}
         self._waiting = PendingMessages()
         self._last_tf_ns = -TF_NS
         self._first = True  # of these
         self._with_truth = with_truth
         self._begun = time.monotonic()
-        self._good_offset = 0
-        if path.exists():
-            raise RecorderError(f"log {path}: exists already; choose another with --out")
-        try:
-            self._file = open(self.part, "xb", buffering=1 << 20)  # noqa: SIM115 - closed at the end
-        except FileExistsError:
-            raise RecorderError(f"log {self.part}: another recorder writes it; choose another with --out") from None
-        except OSError as error:
-            raise RecorderError(f"log {self.part}: {error.strerror}; choose another folder with --out") from None
-        self._writer = LogWriter(self._file, CHUNK_BYTES, names)
-        self._writer.start(profile="", library="cablequad")
         for item in attachments:
-            self._writer.add_attachment(epoch_ns, epoch_ns, item.name, item.media_type, item.data)
+            self._file.writer.add_attachment(epoch_ns, epoch_ns, item.name, item.media_type, item.data)
         for name, values in metadata.items():
-            self._writer.add_metadata(name, dict(values))
-        self._file.flush()
-        self._synced = time.monotonic()
+            self._file.writer.add_metadata(name, dict(values))
+        self._file.begun()
         self.write(0, [("/scene", encode.scene(model, epoch_ns).SerializeToString())])
+
+    @property
+    def error(self) -> str | None:
+        """Why nothing is written any more."""
+        return self._file.error
+
+    @property
+    def part(self) -> Path:
+        """The file until its end."""
+        return self._file.part
 
     # -- what is to be written, in its order; `settle` writes it -------------------------------------------------------
 
@@ -196,71 +265,28 @@ class Recorder:
     def settle(self) -> None:
         """Put what waits into the open chunk."""
         waiting, self._waiting = self._waiting, PendingMessages()
-        self._attempt(lambda: self._settle(waiting))
+        self._file.attempt(lambda: self._file.put(waiting))
 
     def flush(self) -> None:
         """Close the chunk: what was given until now is kept, whatever happens. To be called every `FLUSH_S`."""
         self.settle()
-        self._attempt(self._flush)
+        self._file.attempt(self._file.flush)
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
         """A metadata record, behind all that was written."""
         self.settle()
-        self._attempt(lambda: self._writer.add_metadata(name, dict(values)))
+        self._file.attempt(lambda: self._file.writer.add_metadata(name, dict(values)))
 
     def finish(self) -> Path:
         """Write everything out and give the log its name; where that fails, `error` says so and the part stays."""
         self.settle()
-        self._attempt(self._end)
+        self._file.attempt(self._file.end)
         if self.error is None:
-            os.replace(self.part, self.path)
-            return self.path
-        return self.part
+            os.replace(self._file.part, self._file.path)
+            return self._file.path
+        return self._file.part
 
-    # -- how it is written ---------------------------------------------------------------------------------------------
-
-    def _attempt(self, job: Callable[[], None]) -> None:
-        """What comes after a failed write has nowhere to go."""
-        if self.error is None:
-            try:
-                job()
-            except OSError as error:
-                self._give_up(error)
-
-    def _settle(self, waiting: PendingMessages) -> None:
-        for topic in dict.fromkeys(waiting.topics):
-            if topic not in self._channels:
-                self._channels[topic] = self._registered(topic)
-        self._writer.add_messages(waiting, self._channels, time.time_ns())
-
-    def _flush(self) -> None:
-        self._writer.flush()  # type: ignore[no-untyped-call]
-        self._good_offset = self._file.tell()
-        now = time.monotonic()
-        if now - self._synced >= SYNC_S:
-            self._synced = now
-            os.fdatasync(self._file.fileno())
-
-    def _end(self) -> None:
-        self._writer.finish()  # type: ignore[no-untyped-call]
-        self._file.flush()
-        os.fsync(self._file.fileno())
-        self._file.close()
-
-    def _give_up(self, error: OSError) -> None:
-        self.error = f"log {self.part}: {error.strerror or error}; kept up to the last flush"
-        descriptor = os.dup(self._file.fileno())
-        with contextlib.suppress(OSError):
-            self._file.close()
-        os.ftruncate(descriptor, self._good_offset)
-        os.close(descriptor)
-
-    def _registered(self, topic: str) -> int:
-        kind = _TYPES.get(topic, pb.MavlinkFrame)
-        schema = self._writer.register_schema(
-            kind.DESCRIPTOR.full_name, "protobuf", build_file_descriptor_set(kind).SerializeToString()
-        )
-        return self._writer.register_channel(topic, "protobuf", schema)
+    # -- inside --------------------------------------------------------------------------------------------------------
 
     def _drawn(self, boot_us: Sequence[int]) -> list[int]:
         """Which of these instants have frames for viewers."""

@@ -9,7 +9,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from cablequad.analysis.certificate import attitude_gains, certify, higher_order_slope
+from cablequad.analysis.certificate import Certificate, attitude_gains, certify, higher_order_slope
 from cablequad.analysis.margins import WEAK, closed_loop_poles, largest_loss, margins, modes
 from cablequad.analysis.rollout import LoopTiming, rollout
 from cablequad.control.control_step import Sample
@@ -148,6 +148,24 @@ def _certificate(flight: Flight, nominal: dict[str, float], quick: bool) -> dict
     slope = higher_order_slope(design, 0.01, np.random.default_rng(flight.scenario.seed), 40 if quick else 150)
     reach = [float(p.gamma / slope) for p in c.curve]
     needed_psi, needed_z = nominal["largest_psi"], nominal["initial_z1"]
+    conditions = _conditions(c, reach, needed_psi, needed_z)
+    certified = bool(all(condition["holds"] for condition in conditions.values()))
+    out: dict[str, Any] = {
+        "law": "paper's law with these weights and attitude gains",
+        "certified": certified,
+        "locally_stable": c.hurwitz and c.psi_1_max > 0,
+        "conditions": conditions,
+        "k_R": gains.k_R.tolist(),
+        "k_Omega": gains.k_Omega.tolist(),
+        "higher_order_slope_per_radius": slope,
+    } | _figures(c, reach)
+    if not certified:
+        out["advice"] = _advice(flight, weights, out, rate, needed_psi=needed_psi, needed_z=needed_z, quick=quick)
+    return out
+
+
+def _conditions(c: Certificate, reach: list[float], needed_psi: float, needed_z: float) -> dict[str, dict[str, Any]]:
+    """What the proposition asks, with the value, its bound and whether it holds."""
     conditions = {
         "A Hurwitz": [c.spectral_abscissa, "below", 0.0, c.hurwitz],
         "c_2i below its bound, W_2i positive": [
@@ -160,15 +178,13 @@ def _certificate(flight: Flight, nominal: dict[str, float], quick: bool) -> dict
             max(reach, default=0.0), "above", needed_z, bool(max(reach, default=0.0) > needed_z),
         ],
     }  # fmt: skip
-    certified = bool(all(holds for *_, holds in conditions.values()))
+    return {k: {"value": v[0], "side": v[1], "bound": v[2], "holds": v[3]} for k, v in conditions.items()}
+
+
+def _figures(c: Certificate, reach: list[float]) -> dict[str, Any]:
+    """The numbers that the certificate rests on."""
     a = c.attitude[0]
-    out: dict[str, Any] = {
-        "law": "paper's law with these weights and attitude gains",
-        "certified": certified,
-        "locally_stable": c.hurwitz and c.psi_1_max > 0,
-        "conditions": {k: {"value": v[0], "side": v[1], "bound": v[2], "holds": v[3]} for k, v in conditions.items()},
-        "k_R": gains.k_R.tolist(),
-        "k_Omega": gains.k_Omega.tolist(),
+    return {
         "K_max": c.loop.K_max,
         "B_1": c.loop.B_1,
         "B_2": [x.B_2 for x in c.attitude],
@@ -191,11 +207,7 @@ def _certificate(flight: Flight, nominal: dict[str, float], quick: bool) -> dict
             }
             for p, r in zip(c.curve, reach, strict=True)
         ],
-        "higher_order_slope_per_radius": slope,
     }  # fmt: skip
-    if not certified:
-        out["advice"] = _advice(flight, weights, out, rate, needed_psi, needed_z, quick)
-    return out
 
 
 def _advice(

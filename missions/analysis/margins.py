@@ -167,7 +167,7 @@ def _flown(design: Design, flight: Flight, which: int, value: float) -> Tried:
     timing = LoopTiming(period, flight.control_us // flight.physics_us, delay + extra)
     errors, rates = [], []
     still, ticks, law = Reference(target, np.zeros(3)), round(FLOWN_S / period), scenarios.law_of(flight)
-    for sample in rollout(design, flight.airframe, lambda _: still, start, timing, ticks, real, law=law):
+    for sample in rollout(design, flight.airframe, lambda _: still, start, timing, ticks, real=real, law=law):
         if not np.isfinite(sample.e_omega) or sample.e_omega > 1e4:
             return Tried(value, False, float("inf"))
         errors.append(float(np.linalg.norm(sample.state.x0 - target)))

@@ -204,7 +204,7 @@ def sitl(
     from missions.flight.processes.simulate import Serving
     from missions.flight.serve import serve
     from missions.scenario.loading import ScenarioError
-    from sitl.external.joint import AutopilotError
+    from sitl.external.seats import AutopilotError
     from sitl.plant import PhysicsError
 
     who = backend(backend_name, firmware, launch)

@@ -1,7 +1,7 @@
 """What several commands have in common: their options, and how a scenario is loaded."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, get_args
 
 import typer
 
@@ -84,9 +84,10 @@ def load(
     Raises ScenarioError; an unknown firmware ends as usage.
     """
     from missions.scenario.loading import load as read
+    from missions.scenario.tables import Firmware
 
-    if firmware not in (None, "auto", "px4", "arducopter"):
-        usage(f"--firmware: {firmware!r} given; write px4, arducopter or auto")
+    if firmware not in (None, "auto", *get_args(Firmware)):
+        usage(f"--firmware: {firmware!r} given; write {', '.join(get_args(Firmware))} or auto")
     external = backend != "builtin"
     flight = read(scenario, duration, seed, None if firmware == "auto" else firmware, script, external or connected)
     if not external:

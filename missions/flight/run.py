@@ -27,12 +27,12 @@ from missions.flight.processes.simulate import few_collections
 from missions.flight.recording.header import opening
 from missions.flight.recording.log_process import Recording
 from missions.flight.setup import FlightSetup, set_up
-from missions.flight.summary import Summary, Track, summarize
+from missions.flight.summary import Asked, Known, Summary, Track, summarize
 from missions.flight.warm_up import predict_once, warm_up
 from missions.scenario import loading as scenarios
 from missions.scenario.loading import Flight
 from missions.scenario.mission_setup import felt
-from sitl.external.joint import BOOT_S
+from sitl.external.seats import BOOT_S
 from sitl.settings import HOST
 
 __all__ = ["Options", "Progress", "run"]
@@ -119,7 +119,7 @@ def _run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary,
                 if p.simulator is not None:
                     p.simulator.go()
                 told = _Waits(progress, prepared.fleet, _patience(flight, options, p))
-                outcome, timing = _fly(flight, options, p, prepared, sink, told, interrupted)
+                outcome, timing = _fly(flight, options, p, prepared, sink, told=told, interrupted=interrupted)
         timing = timing._replace(unread=timing.unread + p.stop_simulator())
         return _summarized(flight, p, prepared.mission, sink, outcome, timing), outcome.interrupted
 
@@ -166,10 +166,13 @@ def _summarized(
     grounded, mark = judged.grounded, None
     if mission is not None:
         grounded, mark = grounded or felt(mission), mission.figures.mark
+    cut_short = mission is None and flight.trajectory.duration > flight.scenario.duration_s
     summary = summarize(
-        flight.scenario.name, flight.scenario.acceptance, sink.track, outcome, timing,
-        link.counters.sent, lost, missed, len(flight.system.m), judged.followed, grounded, mark,
-        flight.script is not None, mission is None and flight.trajectory.duration > flight.scenario.duration_s,
+        Asked(flight.scenario.name, flight.scenario.acceptance, flight.script is not None, cut_short),
+        Known(
+            sink.track, outcome, timing, sent=link.counters.sent, lost=lost, missed_deadlines=missed,
+            n=len(flight.system.m), true=judged.followed, grounded=grounded, mark=mark,
+        ),
     )  # fmt: skip
     wire = _wire(p, sink.tallies, timing.unread, timing.foreign)
     taken = wire["down_lost"] + wire.get("up_lost", 0)
@@ -353,4 +356,4 @@ def _interrupts() -> Iterator[Callable[[], bool]]:
 
 def _nothing(flight: Flight, reason: str, untested: bool = False) -> Summary:
     none = Outcome(False, False, reason, untested)
-    return summarize(flight.scenario.name, flight.scenario.acceptance, _track(flight), none, NO_TIME, 0, 0, 0, 0)
+    return summarize(Asked(flight.scenario.name, flight.scenario.acceptance), Known(_track(flight), none, NO_TIME))

@@ -18,7 +18,7 @@ from sitl.addresses import places, tracker_endpoints
 from sitl.external.ardupilot import ARDUPILOT_PORT
 from sitl.external.px4 import PX4_PORT
 from sitl.plant import Truth
-from sitl.settings import Event
+from sitl.settings import Event, Report
 
 FOLDER = Path("autopilots")  # where they work
 
@@ -56,19 +56,30 @@ def serve(flight: Flight, serving: Serving, launch: Path | None = None) -> None:
     autopilots: Autopilots | None = None
     try:
         if serving.backend != "builtin":
-            starts = launches(flight, serving.backend, launch, serving.port_offset, serving.host, serving.speed)
-            if launch is None:
-                console.print("start the autopilots:")
-                for line in start_lines(starts, FOLDER):
-                    console.print(f"  {line}", soft_wrap=True)
-            else:
-                autopilots = Autopilots(starts, FOLDER)
-                console.print(f"{len(starts)} autopilots started, in {FOLDER}")
+            autopilots = _start(console, flight, serving, launch)
         report = server.run(stopped.is_set)
     finally:
         server.close()
         if autopilots is not None:
             autopilots.stop()
+    _tell_report(console, report)
+
+
+def _start(console: Console, flight: Flight, serving: Serving, launch: Path | None) -> Autopilots | None:
+    """Start the autopilots where `launch` says, or tell how each is started."""
+    starts = launches(flight, serving.backend, launch, serving.port_offset, serving.host, serving.speed)
+    if launch is not None:
+        autopilots = Autopilots(starts, FOLDER)
+        console.print(f"{len(starts)} autopilots started, in {FOLDER}")
+        return autopilots
+    console.print("start the autopilots:")
+    for line in start_lines(starts, FOLDER):
+        console.print(f"  {line}", soft_wrap=True)
+    return None
+
+
+def _tell_report(console: Console, report: Report) -> None:
+    """How time was kept, and what was made nothing of."""
     if refused := ", ".join(f"{count} {why}" for why, count in report.refused.items() if count):
         console.print(f"frames left out: {refused}")
     if failed := ", ".join(f"{count} {name}" for name, count in report.mishandled.items()):

@@ -121,81 +121,98 @@ def criteria(limits: AcceptanceTable, s: Summary) -> list[Criterion]:
     return out
 
 
-def summarize(
-    scenario: str,
-    limits: AcceptanceTable,
-    track: Track,
-    outcome: Outcome,
-    timing: TickStatistics,
-    sent: int,
-    lost: int,
-    missed_deadlines: int,
-    n: int,
-    true: Followed | None = None,
-    grounded: Grounded | None = None,
-    mark: tuple[float, float] | None = None,
-    scripted: bool = False,
-    cut_short: bool = False,
-) -> Summary:
-    """The summary of a flight that ended with `outcome`; a criterion that does not hold is named in the reason.
+class Asked(NamedTuple):
+    """What a flight is judged by."""
 
-    `true` is how the load really moved, where a simulator told it. `mark` is where a mission set it down last. What a
-    `scripted` mission never did is not asked of it, nor what is of the end of one that was asked to be `cut_short`.
-    """
-    last = track.last
-    moved = true or track.following.followed()
-    enough = len(timing.intervals_s) > 2
+    scenario: str
+    limits: AcceptanceTable
+    scripted: bool = False  # what such a mission never did is not asked of it
+    cut_short: bool = False  # asked to end early: what is of the end is not asked of it
+
+
+class Known(NamedTuple):
+    """What is known of a flight that ended."""
+
+    track: Track
+    outcome: Outcome
+    timing: TickStatistics
+    sent: int = 0
+    lost: int = 0
+    missed_deadlines: int = 0
+    n: int = 0  # vehicles
+    true: Followed | None = None  # how the load really moved, where a simulator told it
+    grounded: Grounded | None = None
+    mark: tuple[float, float] | None = None  # where a mission set the load down last
+
+
+def summarize(asked: Asked, k: Known) -> Summary:
+    """The summary of a flight; a criterion that does not hold is named in the reason."""
+    s = _figures(asked.scenario, k)
+    found = [c for c in criteria(asked.limits, s) if not (asked.scripted and c.measured is None)]
+    found = [c for c in found if not (asked.cut_short and c.name in OF_THE_END)]
+    failed = [c for c in found if not c.holds]
+    reason = k.outcome.reason
+    if k.outcome.completed and failed:
+        reason = "; ".join(
+            f"{c.name} is {'not reached' if c.measured is None else f'{c.measured:.4g}'}, asked {c.limit:g}"
+            for c in failed
+        )
+    return s._replace(
+        passed=k.outcome.completed and not failed, tested=not k.outcome.untested, reason=reason,
+        criteria=[c._asdict() for c in found],
+    )  # fmt: skip
+
+
+def _figures(scenario: str, k: Known) -> Summary:
+    """What was measured."""
+    track, timing, grounded, last = k.track, k.timing, k.grounded, k.track.last
+    moved = k.true or track.following.followed()
     s = Summary(
         scenario=scenario,
         passed=False,
-        reason=outcome.reason,
-        final_position_error_m=None if moved is None else moved.final_m,
-        final_speed_m_s=None if moved is None else moved.final_speed_m_s,
-        settling_time_s=None if moved is None else moved.settled_s,
+        reason=k.outcome.reason,
+        final_position_error_m=None, final_speed_m_s=None, settling_time_s=None,
         max_psi=None if last is None else track.max_psi,
         max_thrust_N=None if last is None else track.max_thrust_N,
         min_tension_N=float(track.min_tension_N) if np.isfinite(track.min_tension_N) else None,
-        messages_sent=sent,
-        messages_lost=lost,
-        messages_late=timing.missed_ticks * n,
+        messages_sent=k.sent,
+        messages_lost=k.lost,
+        messages_late=timing.missed_ticks * k.n,
         real_time_factor=last.t / timing.flight_s if last is not None and timing.flight_s > 0 else None,
         log=None,
         replay=None,
         final_e_q=None if last is None else last.e_q,
         final_psi=None if last is None else float(last.Psi.max()),
         flown_s=0.0 if last is None else last.t,
-        missed_deadlines=missed_deadlines,
-        jitter_us=_jitter(timing.intervals_s) if enough else None,
+        missed_deadlines=k.missed_deadlines,
+        jitter_us=_jitter(timing.intervals_s) if len(timing.intervals_s) > 2 else None,
         predicted_ticks=timing.predicted_ticks,
-        rms_tracking_error_m=None if moved is None else moved.rms_m,
-        largest_tracking_error_m=None if moved is None else moved.largest_m,
-        mean_position_error_m=None if moved is None else moved.mean_last_m,
-        link_direction_error_deg=None if moved is None else moved.link_rms_deg,
-        payload_attitude_error_deg=None if moved is None else moved.attitude_rms_deg,
-        set_down_error_m=None if grounded is None or mark is None else math.dist(grounded.load_m[:2], mark),
-        touch_down_m_s=None if grounded is None else grounded.touch_down_m_s,
-        max_tension_N=None if grounded is None else grounded.largest_tension_N,
-        vehicles_crashed=None if grounded is None else grounded.vehicles_crashed,
-        min_separation_m=None if grounded is None else grounded.smallest_separation_m,
         thrust_scale=[
-            {"scale": round(k.scale, 5), "error": round(k.error, 5)} if k.pairs > 2 else None
-            for k in timing.thrust_scales
+            {"scale": round(t.scale, 5), "error": round(t.error, 5)} if t.pairs > 2 else None
+            for t in timing.thrust_scales
         ],
         state_age_ms=timing.mean_age_ms,
-    )
-    found = [c for c in criteria(limits, s) if not (scripted and c.measured is None)]
-    found = [c for c in found if not (cut_short and c.name in OF_THE_END)]
-    failed = [c for c in found if not c.holds]
-    reason = outcome.reason
-    if outcome.completed and failed:
-        reason = "; ".join(
-            f"{c.name} is {'not reached' if c.measured is None else f'{c.measured:.4g}'}, asked {c.limit:g}"
-            for c in failed
-        )
-    return s._replace(
-        passed=outcome.completed and not failed, tested=not outcome.untested, reason=reason,
-        criteria=[c._asdict() for c in found],
     )  # fmt: skip
+    if moved is not None:
+        s = s._replace(
+            final_position_error_m=moved.final_m,
+            final_speed_m_s=moved.final_speed_m_s,
+            settling_time_s=moved.settled_s,
+            rms_tracking_error_m=moved.rms_m,
+            largest_tracking_error_m=moved.largest_m,
+            mean_position_error_m=moved.mean_last_m,
+            link_direction_error_deg=moved.link_rms_deg,
+            payload_attitude_error_deg=moved.attitude_rms_deg,
+        )
+    if grounded is not None:
+        s = s._replace(
+            set_down_error_m=None if k.mark is None else math.dist(grounded.load_m[:2], k.mark),
+            touch_down_m_s=grounded.touch_down_m_s,
+            max_tension_N=grounded.largest_tension_N,
+            vehicles_crashed=grounded.vehicles_crashed,
+            min_separation_m=grounded.smallest_separation_m,
+        )
+    return s
 
 
 def _jitter(intervals_s: Sequence[float]) -> dict[str, float]:

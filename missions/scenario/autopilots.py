@@ -9,9 +9,9 @@ import numpy as np
 from cablequad.model.earth import Home, density_ratio
 from cablequad.model.linear import EquilibriumError, equilibrium, equilibrium_forces
 from cablequad.model.system import System
-from missions.scenario.known import KNOWN
 from missions.scenario.loading import Flight, flight_of, known_delay_ticks
 from missions.scenario.tables import Scenario
+from sitl.firmware.personas import PERSONAS
 
 ATTITUDE_BYTES = 60  # of a frame
 ATTITUDE_SHARE = 0.5  # of a link's bandwidth, at most
@@ -43,7 +43,7 @@ def behind(flight: Flight, firmware: Sequence[str]) -> Flight:
     allowed = s.acceptance.e_q
     if allowed is not None and (more := wandering(flight.system, firmware)) > 0.05 * allowed:
         table["acceptance"]["e_q"] = round(allowed + more, 3)
-        worst = max((KNOWN[kind] for kind in firmware), key=lambda k: k.wander_deg)
+        worst = max((PERSONAS[kind].known for kind in firmware), key=lambda k: k.wander_deg)
         notes.append(
             f"acceptance.e_q: {allowed:g} becomes {allowed + more:.3g}, as {worst.name}'s attitude wanders "
             f"{worst.wander_deg:g} deg"
@@ -61,7 +61,7 @@ def _respond(flight: Flight, firmware: Sequence[str], table: dict[str, Any], not
     lag_s = 0.0 if rotors is None else rotors.time_constant_s
     said = set()
     for i, kind in enumerate(firmware):
-        known, own = KNOWN[kind], table["vehicles"][i]
+        known, own = PERSONAS[kind].known, table["vehicles"][i]
         own["attitude_bandwidth_rad_s"], own["attitude_damping"] = known.bandwidth_rad_s, known.damping
         if known.name not in said:
             said.add(known.name)
@@ -78,7 +78,7 @@ def _respond(flight: Flight, firmware: Sequence[str], table: dict[str, Any], not
 
 def attitude_rate(flight: Flight, firmware: Sequence[str]) -> int:
     """How many attitudes a control period are asked for: as many as the autopilots send and the links bear."""
-    fastest_us = max(KNOWN[kind].fastest_attitude_us for kind in firmware)
+    fastest_us = max(PERSONAS[kind].known.fastest_attitude_us for kind in firmware)
     for faults in flight.faults_down[:-1]:
         if faults.rate_bytes_s > 0.0:
             fastest_us = max(fastest_us, math.ceil(1e6 * ATTITUDE_BYTES / (ATTITUDE_SHARE * faults.rate_bytes_s)))
@@ -100,5 +100,5 @@ def wandering(system: System, firmware: Sequence[str]) -> float:
     for i, kind in enumerate(firmware):
         links = int(system.n_links[i])
         tension = float(hung.tension[i]) + 0.5 * float(system.m_link[i, :links].sum()) * system.g
-        total += links * float(forces[i]) / max(tension, 1e-9) * math.radians(KNOWN[kind].wander_deg)
+        total += links * float(forces[i]) / max(tension, 1e-9) * math.radians(PERSONAS[kind].known.wander_deg)
     return total

@@ -21,9 +21,9 @@ from missions.scenario.loading import Flight
 from missions.scenario.metrics import HIT_M
 from missions.scenario.surroundings import airborne, standing_places
 from missions.scenario.tables import PlanTable, Scenario
+from sitl.firmware.personas import PERSONAS
 
 LOOKED_AT = 400  # instants of a plan
-SETPOINT_TIMEOUT_S = {"px4": ("COM_OF_LOSS_T", 1.0), "arducopter": ("GUID_TIMEOUT", 3.0)}  # parameter, its default
 ON_ONE_TIMEOUT = 2.0  # setpoints that a vehicle must get within it
 FREE_FALL = 0.05  # of gravity: the least that must be left to pull the load down
 LEANS_DEG = 60.0  # of the paper's law, which has no limit of its own
@@ -153,7 +153,7 @@ def _too_near(s: Scenario, x: Array, where: str) -> Iterator[str]:
 def _rates(flight: Flight) -> Iterator[str]:
     s = flight.scenario
     for i, v in enumerate(s.vehicles):
-        name, usual = SETPOINT_TIMEOUT_S[flight.firmware[i]]
+        name, usual = PERSONAS[flight.firmware[i]].setpoint_timeout
         timeout = {**s.vehicle.parameters, **v.parameters}.get(name, usual)
         if timeout > 0.0 and flight.control_us * 1e-6 * ON_ONE_TIMEOUT > timeout:
             yield (

@@ -3,7 +3,6 @@
 import difflib
 import math
 import tomllib
-from functools import partial
 from importlib import resources
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -24,12 +23,11 @@ from cablequad.model.state import State
 from cablequad.model.stiffness import STABLE, stable_substep
 from cablequad.model.system import Cable, Payload, Quadrotor, System, box_inertia
 from missions.scenario.course import SETTLE_S, CourseError, course_from, course_of
-from missions.scenario.known import KNOWN
 from missions.scenario.script import ScriptError, read_script, scenario_of, script_from
 from missions.scenario.surroundings import airborne, around, lay_out
 from missions.scenario.tables import FaultTable, OneVehicleTable, Scenario, TargetTable
-from sitl.firmware.parameters import arducopter_parameters, px4_parameters
-from sitl.plant import Surroundings
+from sitl.firmware.personas import PERSONAS
+from sitl.parts import Surroundings
 from sitl.wind import Weather
 
 
@@ -290,7 +288,7 @@ def response(s: Scenario, i: int) -> tuple[float, float]:
     """Bandwidth (rad/s) and damping of vehicle i's (from 0) attitude response: stated, or as its firmware is known."""
     v = s.vehicles[i]
     bandwidth, damping = _of(s, v, "attitude_bandwidth_rad_s"), _of(s, v, "attitude_damping")
-    known = KNOWN[_of(s, v, "firmware")]
+    known = PERSONAS[_of(s, v, "firmware")].known
     if bandwidth is None:
         return known.bandwidth_rad_s, known.damping if damping is None else damping
     return bandwidth, STATED_DAMPING if damping is None else damping
@@ -299,7 +297,7 @@ def response(s: Scenario, i: int) -> tuple[float, float]:
 def known_delay_ticks(s: Scenario, firmware: str) -> int:
     """The delay that a law is designed for: the known one, with as much of the rotors' lag as the scenario's have."""
     lag = 0.0 if s.vehicle.rotors is None else s.vehicle.rotors.time_constant_s
-    known = KNOWN[firmware]
+    known = PERSONAS[firmware].known
     return max(1, round((known.own_delay_s + lag) * s.control.rate_hz))
 
 
@@ -309,7 +307,7 @@ def delays_us(flight: Flight) -> tuple[int, ...]:
     for v in s.vehicles:
         wish = s.vehicle.delay_ms
         if wish is None and _of(s, v, "attitude_bandwidth_rad_s") is None:
-            wish = 1e3 * KNOWN[_of(s, v, "firmware")].own_delay_s  # its rotors are in the plant
+            wish = 1e3 * PERSONAS[_of(s, v, "firmware")].known.own_delay_s  # its rotors are in the plant
         ticks = None if wish is None else max(1, round(1e3 * wish / flight.tick_us))
         out.append(s.control.delay_ticks * flight.control_us if ticks is None else ticks * flight.tick_us)
     return tuple(out)
@@ -322,7 +320,7 @@ def phases_us(flight: Flight) -> tuple[int, ...]:
         wish = s.vehicle.stream_phase_ms
         if wish is None:
             unstated = _of(s, v, "attitude_bandwidth_rad_s") is None
-            wish = KNOWN[_of(s, v, "firmware")].phase_ms if unstated else 0.0
+            wish = PERSONAS[_of(s, v, "firmware")].known.phase_ms if unstated else 0.0
         out.append(round(1e3 * wish / flight.tick_us) * flight.tick_us)
     return tuple(out)
 
@@ -336,7 +334,7 @@ def _as_known(s: Scenario) -> Scenario:
     if "delay_ticks" not in s.control.model_fields_set:
         ticks = max(known_delay_ticks(s, kind) for kind in unstated)
         changes["control"] = s.control.model_copy(update={"delay_ticks": ticks})
-    worst = max((KNOWN[kind] for kind in unstated), key=lambda k: k.bias_deg)
+    worst = max((PERSONAS[kind].known for kind in unstated), key=lambda k: k.bias_deg)
     errors = {
         "attitude_bias_deg": worst.bias_deg, "position_offset_m": list(worst.position_offset_m),
         "attitude_offset_deg": list(worst.attitude_offset_deg),
@@ -349,9 +347,8 @@ def _as_known(s: Scenario) -> Scenario:
 
 def _preset(s: Scenario) -> None:
     """Raise ValueError where a built-in vehicle has no such parameter, or cannot take its value."""
-    tables = {"px4": px4_parameters, "arducopter": arducopter_parameters}
     for i, v in enumerate(s.vehicles):
-        table = tables[_of(s, v, "firmware")](i + 1, 0.5)
+        table = PERSONAS[_of(s, v, "firmware")].parameters(i + 1, 0.5)
         for name, value in parameters_of(s, i).items():
             table.preset(name, value)
 
@@ -362,13 +359,31 @@ def flight_of(s: Scenario, source: str, external: bool = False) -> Flight:
     `external`: its vehicles are not ours, and may have any parameter.
     """
     s = _as_known(s)
-    of = partial(_of, s)
-    system = system_of(s)
-    airframe = Airframe(
-        np.array([response(s, i)[0] for i in range(len(s.vehicles))], dtype=float),
-        np.array([response(s, i)[1] for i in range(len(s.vehicles))], dtype=float),
-        np.array([of(v, "max_thrust_N") for v in s.vehicles], dtype=float) * s.vehicle.air_density_ratio,
+    system, airframe = system_of(s), _airframe(s)
+    initial = _initial(s, system)
+    if not external:
+        _preset(s)
+    steps, notes = _steps(s, system, airframe)
+    down, up = _faults(s)
+    world = _world(s, system, airframe)
+    firmware = tuple(_of(s, v, "firmware") for v in s.vehicles)
+    return Flight(
+        s, source, system, airframe, world, _trajectory(s, system, initial), initial, *steps, notes, firmware, up, down
     )
+
+
+def _airframe(s: Scenario) -> Airframe:
+    """How the vehicles answer, as the controller is told."""
+    answers = [response(s, i) for i in range(len(s.vehicles))]
+    return Airframe(
+        np.array([bandwidth for bandwidth, *_ in answers], dtype=float),
+        np.array([damping for _, damping, *_ in answers], dtype=float),
+        np.array([_of(s, v, "max_thrust_N") for v in s.vehicles], dtype=float) * s.vehicle.air_density_ratio,
+    )
+
+
+def _initial(s: Scenario, system: System) -> State:
+    """Where everything is at first."""
     initial = State.hanging(system, (0.0, 0.0, 0.0))._replace(
         x0=np.array(s.initial.position_m),
         v0=np.array(s.initial.velocity_m_s),
@@ -381,37 +396,38 @@ def flight_of(s: Scenario, source: str, external: bool = False) -> Flight:
             initial.q[i, : len(q)] = q / np.linalg.norm(q, axis=1, keepdims=True)
     if s.ground is not None and not airborne(s):
         lay_out(s, s.ground, system, initial)
-    initial = initial.copy()  # arrays of one layout, as compiled code is compiled for each
+    return initial.copy()  # arrays of one layout, as compiled code is compiled for each
+
+
+def _steps(s: Scenario, system: System, airframe: Airframe) -> tuple[tuple[int, int, int, int], list[str]]:
+    """Microseconds of control, physics, a tick and truth, and what was chosen that the file does not say."""
     control_us = round(1e6 / s.control.rate_hz)
-    notes = []
-    if not external:
-        _preset(s)
     tick_us = TICK_US if control_us % TICK_US == 0 else control_us
     asked_us = round(1e6 / s.physics.rate_hz)
     physics_us = stable_substep(system, asked_us, tick_us)
     truth_us = _truth_us(s, physics_us, tick_us)
-    if physics_us != asked_us:
-        notes.append(f"physics step {physics_us} us instead of {asked_us} us: the stiffest link mode needs it")
+    stiff = f"physics step {physics_us} us instead of {asked_us} us: the stiffest link mode needs it"
+    notes = [stiff] if physics_us != asked_us else []
     fastest = float(airframe.bandwidth.max())
     if fastest * physics_us * 1e-6 > STABLE:
         raise ValueError(
             f"attitude_bandwidth_rad_s: {fastest:g} given; with a physics step of {physics_us} us at most "
             f"{STABLE / (physics_us * 1e-6):g} can be simulated"
         )
-    down, up = _faults(s)
+    return (control_us, physics_us, tick_us, truth_us), notes
+
+
+def _world(s: Scenario, system: System, airframe: Airframe) -> ActualPlant:
+    """What flies."""
     heavier = 1.0 if s.real.payload_mass_kg is None else s.real.payload_mass_kg / s.payload.mass_kg
     scale = s.real.thrust_scale
-    world = ActualPlant(
+    return ActualPlant(
         system_of(s, heavier),
         _really(airframe, s),
         tuple(scale) if isinstance(scale, list) else (scale,) * len(s.vehicles),
-        around(s, system, airframe, [of(v, "drag_area_m2") for v in s.vehicles]),
+        around(s, system, airframe, [_of(s, v, "drag_area_m2") for v in s.vehicles]),
         None if s.wind is None else Weather(np.array(s.wind.mean_m_s), s.wind.gusts, s.wind.height_m),
     )
-    return Flight(
-        s, source, system, airframe, world, _trajectory(s, system, initial), initial, control_us, physics_us,
-        tick_us, truth_us, notes,        tuple(of(v, "firmware") for v in s.vehicles), up, down,
-    )  # fmt: skip
 
 
 def _really(airframe: Airframe, s: Scenario) -> Airframe:

@@ -10,7 +10,7 @@ from cablequad.model.attitude import Airframe
 from cablequad.model.state import State
 from cablequad.model.system import System
 from missions.scenario.tables import GroundTable, RotorsTable, Scenario
-from sitl.plant import Surroundings
+from sitl.parts import Surroundings
 
 AIR_KG_M3 = 1.225
 

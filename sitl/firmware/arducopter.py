@@ -35,9 +35,9 @@ from sitl.firmware.autopilot import (
     Autopilot,
     Body,
     LinkKind,
-    Outgoing,
 )
 from sitl.firmware.navigate import A_IGNORED, FAR_M, V_IGNORED, X_IGNORED, Goal, goal_of
+from sitl.firmware.outbox import Outgoing
 from sitl.firmware.parameters import arducopter_parameters
 from sitl.firmware.telemetry import BUILD, Snapshot
 from sitl.firmware.transitions import ACCEPTED, CRITICAL, DENIED, FAILED, INFO, UNSUPPORTED, WARNING, decide
@@ -99,7 +99,7 @@ class ArduCopter(Autopilot):
     ) -> None:
         hover = min(1.0, body.density_ratio * body.mass_kg * body.g / body.max_thrust_N)
         parameters = arducopter_parameters(system_id, hover)
-        super().__init__(system_id, tick_us, links, body, parameters, DEFAULT_HZ, ready_us)
+        super().__init__(system_id, tick_us, links, body, parameters, default_hz=DEFAULT_HZ, ready_us=ready_us)
         self.mode = CopterMode.STABILIZE
         self._stopped = True  # GUIDED without an attitude target: holds where it is
         self._takeoff: Goal | None = None
@@ -140,7 +140,7 @@ class ArduCopter(Autopilot):
             self._thrust = value.thrust
         if not mask & 128:
             self._R_t = lie.rotation_from_quat(np.array(quat))
-        self._target, self._target_at_us = value, now_us
+        self._target.value, self._target.at_us = value, now_us
         self._stopped, self._takeoff = False, None
         if self._wants_thrust() and self.armed and self._spun_up_us is None:
             self._spun_up_us = now_us + round(self.parameters["MOT_SPOOL_TIME"] * 1e6)
@@ -162,8 +162,10 @@ class ArduCopter(Autopilot):
             asked = value.type_mask | (0 if place else X_IGNORED) | (0 if velocity else V_IGNORED)
             offset, body = value.frame != M.MAV_FRAME_LOCAL_NED, value.frame in _BODY_FRAMES
             speed = self.parameters["WPNAV_SPEED"] / 100
-            self._target = goal_of(value._replace(type_mask=asked), self._at, self._R, speed, offset, body)
-            self._target_at_us = now_us
+            self._target.value = goal_of(
+                value._replace(type_mask=asked), self._position.x, self._position.R, speed, offset, body
+            )
+            self._target.at_us = now_us
             self._stopped, self._takeoff = False, None
 
     def _go_to(self, c: Command, flags: int, now_us: int) -> int:
@@ -171,7 +173,7 @@ class ArduCopter(Autopilot):
         change = flags > 0 and flags & M.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE
         if self.mode is not CopterMode.GUIDED and not change:
             return DENIED
-        place = self._place(c)
+        place = self._position.asked(c)
         if place is None:
             return DENIED
         if self.mode is not CopterMode.GUIDED and self._switch(CopterMode.GUIDED, now_us) != ACCEPTED:
@@ -183,7 +185,7 @@ class ArduCopter(Autopilot):
 
     def _stop(self, text: str) -> None:
         self._warn(text)
-        self._stopped, self._target = True, None
+        self._stopped, self._target.value = True, None
         self.navigator.end()
 
     def _wants_thrust(self) -> bool:
@@ -262,7 +264,7 @@ class ArduCopter(Autopilot):
     def _change(self, mode: CopterMode) -> None:
         if mode is not self.mode:
             self.mode = mode
-            self._stopped, self._target, self._takeoff = True, None, None
+            self._stopped, self._target.value, self._takeoff = True, None, None
             self.navigator.end()
 
     def leave(self, mode: str) -> None:
@@ -280,15 +282,15 @@ class ArduCopter(Autopilot):
         if row.result == ACCEPTED and arm != self.armed:
             self._set_armed(arm, now_us)
             self._spun_up_us = None
-            self._stopped, self._target, self._takeoff = True, None, None
+            self._stopped, self._target.value, self._takeoff = True, None, None
         return row.result
 
     def _take_off(self, altitude_m: float, now_us: int) -> int:
         row = decide(modes.TAKEOFF, self._situation(now_us))
         if row.result == ACCEPTED and math.isfinite(altitude_m) and altitude_m > 0:
-            up = np.array([self._at[0], self._at[1], self._home[2] - altitude_m])
+            up = np.array([self._position.x[0], self._position.x[1], self._position.home[2] - altitude_m])
             self._takeoff = Goal(up, self.parameters["WPNAV_SPEED_UP"] / 100)
-            self._stopped, self._target = True, None
+            self._stopped, self._target.value = True, None
             self._spun_up_us = now_us + round(self.parameters["MOT_SPOOL_TIME"] * 1e6)
             return ACCEPTED
         return FAILED
@@ -301,9 +303,9 @@ class ArduCopter(Autopilot):
 
     def fresh_setpoint(self, now_us: int) -> bool:
         """Whether a target is in force: taken, and within GUID_TIMEOUT, which a place to go to does not have."""
-        if isinstance(self._target, Goal) and bool(np.isfinite(self._target.x).all()):
+        if isinstance(self._target.value, Goal) and bool(np.isfinite(self._target.value.x).all()):
             return True
-        return self._target is not None and now_us - self._target_at_us <= self.parameters["GUID_TIMEOUT"] * 1e6
+        return self._target.value is not None and now_us - self._target.at_us <= self.parameters["GUID_TIMEOUT"] * 1e6
 
     def carries(self, now_us: int) -> bool:
         up = self.armed and self._spun_up_us is not None and now_us >= self._spun_up_us
@@ -320,8 +322,10 @@ class ArduCopter(Autopilot):
             self._text(CRITICAL, f"GCS failsafe: {self.mode.name}")
         idle_s = self.parameters["DISARM_DELAY"]
         if self.armed and self.landed == ON_GROUND and self._takeoff is None and not self._told_to_lift(now_us):
-            since = max(self._armed_at_us, self._landed_at_us)
-            landing = self.mode in (CopterMode.LAND, CopterMode.RTL) and self._landed_at_us > self._armed_at_us
+            since = max(self.arming.armed_at_us, self.arming.landed_at_us)
+            landing = (
+                self.mode in (CopterMode.LAND, CopterMode.RTL) and self.arming.landed_at_us > self.arming.armed_at_us
+            )
             if landing or 0 < idle_s <= (now_us - since) * 1e-6:
                 self._disarm_by_itself("Disarming motors")
 
@@ -350,14 +354,14 @@ class ArduCopter(Autopilot):
     # -- what it does --------------------------------------------------------------------------------------------------
 
     def actuation(self, s: Snapshot) -> Actuation:
-        self._note(s)
+        self._position.note(s)
         up = self._spun_up_us is not None and s.boot_us >= self._spun_up_us
         if not self.armed or (self.landed == ON_GROUND and not up):
             return self._act(Actuation(s.R, NO_RATE, 0.0, True), 0.0)
-        if self.mode in modes.TAKES_SETPOINTS and isinstance(self._target, Goal):
-            return self._act(act := self._positioned(s, self._target), act.throttle**2)
-        if self.mode in modes.TAKES_SETPOINTS and isinstance(self._target, AttitudeTarget):
-            return self._guided(s, self._target)
+        if self.mode in modes.TAKES_SETPOINTS and isinstance(self._target.value, Goal):
+            return self._act(act := self._positioned(s, self._target.value), act.throttle**2)
+        if self.mode in modes.TAKES_SETPOINTS and isinstance(self._target.value, AttitudeTarget):
+            return self._guided(s, self._target.value)
         return self._act(act := self._on_board(s), act.throttle**2)
 
     def _on_board(self, s: Snapshot) -> Actuation:
@@ -395,8 +399,8 @@ class ArduCopter(Autopilot):
         if not fresh:  # level at the target's heading, then no climb; it stays in GUIDED
             self._warn("Guided: no attitude target, level and holding height")
             R_c = _level(self._R_t)
-            return self._act(self._climb(s, R_c, NO_RATE, 0.0), self._throttle**2)
-        self._warned = "" if self._warned.startswith("Guided: no") else self._warned
+            return self._act(self._climb(s, R_c, NO_RATE, 0.0), self._shown[0] ** 2)
+        self.out.warned = "" if self.out.warned.startswith("Guided: no") else self.out.warned
         if mask & 7 == 0:
             rates = np.where(np.isfinite(target.rates), np.clip(target.rates, -MAX_RATE, MAX_RATE), 0.0)
         if mask & 128:

@@ -9,8 +9,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from bridge.wire.dialect import mavlink
-from bridge.wire.frames import Packed, packed
-from bridge.wire.messages import GLOBAL_FRAMES, encode, text_frames
+from bridge.wire.frames import packed
 from bridge.wire.values import (
     ON_GROUND,
     Addressed,
@@ -32,31 +31,28 @@ from bridge.wire.values import (
     PositionTarget,
     ServerVersion,
     SetMode,
-    StatusText,
     Timesync,
     Value,
 )
-from cablequad.model.earth import Home, local
+from cablequad.model.earth import Home
 from cablequad.types import Array
 from sitl.firmware.navigate import FAR_M, Goal, Navigator, attitude
+from sitl.firmware.outbox import Outbox, Outgoing
 from sitl.firmware.parameters import Parameters
+from sitl.firmware.position import Position
 from sitl.firmware.streams import Streams
 from sitl.firmware.telemetry import BUILD, Snapshot
-from sitl.firmware.transitions import ACCEPTED, CRITICAL, INFO, UNSUPPORTED, Row
+from sitl.firmware.transitions import ACCEPTED, INFO, UNSUPPORTED, Row
 
 M = mavlink
-ATTITUDE_QUATERNION = M.MAVLINK_MSG_ID_ATTITUDE_QUATERNION
 HIGHRES_IMU = M.MAVLINK_MSG_ID_HIGHRES_IMU
 EXTENDED_SYS_STATE = M.MAVLINK_MSG_ID_EXTENDED_SYS_STATE
-HEARTBEAT_US = 1_000_000
-PARAMS_PER_TICK = 4
 MISSION_UNSUPPORTED = 3
 FTP_FILE_NOT_FOUND = 10
 GROUND_STATION = M.MAV_TYPE_GCS
 SINK_M_S = 0.3  # a PX4 in position mode without a radio
 MAX_RATE = 35.0  # rad/s: what a gyroscope can measure, 2000 deg/s; no rate loop asks for more
 MOST_MSGID, MOST_INTERVAL_US = 65535, 2**31 - 1  # that MESSAGE_INTERVAL can tell
-RELATIVE_FRAMES = frozenset({M.MAV_FRAME_GLOBAL_RELATIVE_ALT, M.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT})
 NO_RATE = np.zeros(3)
 COMMON_CAPABILITIES = (
     M.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
@@ -92,11 +88,28 @@ class Actuation(NamedTuple):
     rate_only: bool
 
 
-class Outgoing(NamedTuple):
-    """A message for one of the vehicle's links; None means all of them."""
+class Arming:
+    """Whether a vehicle is armed and stands on the ground, and since when."""
 
-    link: int | None
-    message: Packed
+    def __init__(self) -> None:
+        self.armed, self.armed_at_us = False, 0
+        self.landed, self.landed_at_us = ON_GROUND, 0
+
+
+class Target:
+    """The last setpoint."""
+
+    def __init__(self) -> None:
+        self.value: AttitudeTarget | Goal | None = None  # a Goal: places and velocities are asked for
+        self.at_us = -(10**12)
+
+
+class Breakage:
+    """What a vehicle was told to break or to let go of."""
+
+    def __init__(self) -> None:
+        self.hook_open = False
+        self.injected: list[tuple[str, int | None]] = []  # failures that were commanded: kind, rotor
 
 
 class Autopilot(ABC):
@@ -118,36 +131,30 @@ class Autopilot(ABC):
     ) -> None:
         """`ready_us`: when the estimator has a position, on the vehicle's clock."""
         self.system_id = system_id
-        self.links = links
         self.body = body
         self.parameters = parameters
         self.streams = [Streams(default_hz[kind], tick_us) for kind in links]
+        self.out = Outbox(self.streams, parameters)
         self.navigator = Navigator(body.mass_kg, body.g, tick_us)
-        self.armed = False
-        self.hook_open = False
-        self.injected: list[tuple[str, int | None]] = []  # failures that were commanded: kind, rotor
-        self.landed = ON_GROUND
+        self.arming = Arming()
+        self.breakage = Breakage()
         self.failsafe = False
+        self._position = Position()
         self._ready_us = ready_us
         self._now_us = 0
-        self._target: AttitudeTarget | Goal | None = None  # a Goal: places and velocities are asked for
-        self._origin = Home()
-        self._target_at_us = -(10**12)
-        self._armed_at_us = 0
-        self._landed_at_us = 0
+        self._target = Target()
         self._ground_heard_us: int | None = None
-        self._home = np.zeros(3)
-        self._at, self._R = np.zeros(3), np.eye(3)  # where it was last, and how it was turned
-        self._v_down, self._sinks_m_s2, self._noted_us = 0.0, 0.0, -1
-        self._next_heartbeat_us = 0
-        self._outbox: list[Outgoing] = []
-        self._asked_for: list[tuple[int | None, int]] = []  # (link, message id) to build from the tick's snapshot
-        self.closing: list[int] = []  # links on which the attitude quaternion ends what is said at this tick
-        self._param_queue: list[tuple[int, int]] = []
-        self._warned = ""
-        self._texts_said = 0
-        self._throttle = 0.0
-        self._commanded: tuple[Array, Array, float] = (np.eye(3), np.zeros(3), 0.0)
+        self._shown: tuple[float, tuple[Array, Array, float]] = (0.0, (np.eye(3), np.zeros(3), 0.0))
+
+    @property
+    def armed(self) -> bool:
+        """Whether the motors may turn."""
+        return self.arming.armed
+
+    @property
+    def landed(self) -> int:
+        """MAV_LANDED_STATE."""
+        return self.arming.landed
 
     # -- what a persona decides ----------------------------------------------------------------------------------------
 
@@ -246,8 +253,7 @@ class Autopilot(ABC):
                 if answer := self.parameters.read(value):
                     self._reply(link, answer)
             case ParamRequestList():
-                self._param_queue = [entry for entry in self._param_queue if entry[0] != link]
-                self._param_queue += [(link, index) for index in range(len(self.parameters))]
+                self.out.list_parameters(link)
             case ParamSet():
                 if answer := self.parameters.write(value):
                     self._reply(link, answer)
@@ -281,19 +287,19 @@ class Autopilot(ABC):
             case M.MAV_CMD_GET_MESSAGE_INTERVAL:
                 asked = msgid
                 interval = packed(M.MAVLink_message_interval_message, asked, self.streams[link].interval_us(asked))
-                self._outbox.append(Outgoing(link, interval))
+                self.out.put(link, interval)
             case M.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES:
                 self._reply(link, ServerVersion(self.capabilities, self.version, self.system_id))
             case M.MAV_CMD_GET_HOME_POSITION:
-                self._asked_for.append((link, M.MAVLINK_MSG_ID_HOME_POSITION))
+                self.out.ask_for(link, M.MAVLINK_MSG_ID_HOME_POSITION)
             case M.MAV_CMD_REQUEST_MESSAGE if msgid == M.MAVLINK_MSG_ID_AUTOPILOT_VERSION:
                 self._reply(link, ServerVersion(self.capabilities, self.version, self.system_id))
             case M.MAV_CMD_REQUEST_MESSAGE if msgid in BUILD:
-                self._asked_for.append((link, msgid))
+                self.out.ask_for(link, msgid)
             case M.MAV_CMD_REQUEST_MESSAGE:
                 return unknown
             case M.MAV_CMD_DO_GRIPPER:
-                self.hook_open = True  # GRIPPER_ACTION_RELEASE; once let go a cable stays off
+                self.breakage.hook_open = True  # GRIPPER_ACTION_RELEASE; once let go a cable stays off
             case _:
                 return UNSUPPORTED
         return ACCEPTED
@@ -303,11 +309,11 @@ class Autopilot(ABC):
     def set_landed(self, landed: int) -> None:
         """What the land detector says; a change is sent at once on every link that streams it."""
         if landed != self.landed:
-            self.landed, self._landed_at_us = landed, self._now_us
+            self.arming.landed, self.arming.landed_at_us = landed, self._now_us
             self._land_detected()
             for link, streams in enumerate(self.streams):
                 if streams.interval_us(EXTENDED_SYS_STATE) > 0:
-                    self._asked_for.append((link, EXTENDED_SYS_STATE))
+                    self.out.ask_for(link, EXTENDED_SYS_STATE)
 
     def _land_detected(self) -> None:
         """What a persona says of it."""
@@ -317,80 +323,43 @@ class Autopilot(ABC):
         self, boot_us: int, R: Array, Omega: Array, x: Array, v: Array, specific_force: Array, home: Home
     ) -> Snapshot:
         """What the vehicle knows of itself, where it is and moves like this; see Snapshot."""
-        self._origin = home
+        self._position.origin = home
+        throttle, commanded = self._shown
         return Snapshot(
-            boot_us, R, Omega, x, v, specific_force, self._throttle, self.armed, self.landed, self._commanded, home,
-            self._home,
+            boot_us, R, Omega, x, v, specific_force, throttle, self.armed, self.landed, commanded, home,
+            self._position.home,
         )  # fmt: skip
 
-    def will_tell(self, msgid: int, now_us: int) -> bool:
-        """Whether a message of this kind goes out at this tick, as things stand."""
-        for streams in self.streams:
-            if streams.is_due(msgid, now_us):
-                return True
-        return bool(self._asked_for) and any(asked == msgid for _, asked in self._asked_for)
-
     def outgoing(self, s: Snapshot, audible: tuple[bool, ...]) -> list[Outgoing]:
-        """What to send at this tick, but for the attitude quaternion, which closes it on the links in `closing`.
-
-        Links that are not `audible` (nobody there yet) get no streams.
-        """
-        now_us = s.boot_us
-        out = self._outbox + [Outgoing(link, BUILD[msgid](s)) for link, msgid in self._asked_for]
-        self._outbox, self._asked_for = [], []
-        if now_us >= self._next_heartbeat_us:
-            self._next_heartbeat_us += HEARTBEAT_US * (1 + (now_us - self._next_heartbeat_us) // HEARTBEAT_US)
-            out.append(Outgoing(None, encode(self._heartbeat(now_us))))
-        if self._param_queue:
-            for link, index in self._param_queue[:PARAMS_PER_TICK]:
-                out.append(Outgoing(link, encode(self.parameters.report(index))))
-            del self._param_queue[:PARAMS_PER_TICK]
-        built: dict[int, Packed] = {}
-        self.closing = []
-        for link, streams in enumerate(self.streams):
-            if not audible[link]:
-                continue
-            for msgid in streams.due(now_us):
-                if msgid == ATTITUDE_QUATERNION:
-                    self.closing.append(link)
-                elif msgid == M.MAVLINK_MSG_ID_TIMESYNC:
-                    out.append(Outgoing(link, encode(self._timesync(now_us))))
-                else:
-                    if msgid not in built:
-                        built[msgid] = BUILD[msgid](s)
-                    out.append(Outgoing(link, built[msgid]))
-        return out
+        """What to send at this tick; see Outbox.take."""
+        return self.out.take(s, audible, self._heartbeat, self._timesync)
 
     def _timesync(self, now_us: int) -> Timesync:
         """The question this vehicle asks of others."""
         return Timesync(0, now_us * 1000)
 
     def _reply(self, link: int, value: Any) -> None:
-        self._outbox.append(Outgoing(link, encode(value)))
+        self.out.reply(link, value)
 
     def _say(self, row: Row[Any]) -> None:
         if row.text:
             self._text(row.severity, row.text)
 
     def _text(self, severity: int, text: str) -> None:
-        self._texts_said = self._texts_said % 65535 + 1
-        for part in text_frames(StatusText(severity, text), self._texts_said):
-            self._outbox.append(Outgoing(None, encode(part)))
+        self.out.text(severity, text)
 
     def _warn(self, text: str) -> None:
         """Say something dangerous once."""
-        if text != self._warned:
-            self._warned = text
-            self._text(CRITICAL, text)
+        self.out.warn(text)
 
     # -- what it does by itself ----------------------------------------------------------------------------------------
 
     def _set_armed(self, arm: bool, now_us: int) -> None:
         if arm != self.armed:
-            self.armed, self._armed_at_us, self._warned = arm, now_us, ""
+            self.arming.armed, self.arming.armed_at_us, self.out.warned = arm, now_us, ""
             self.navigator.end()
             if arm:
-                self._home = self._at.copy()
+                self._position.set_home()
 
     def _disarm_by_itself(self, text: str) -> None:
         self._set_armed(False, self._now_us)
@@ -398,27 +367,11 @@ class Autopilot(ABC):
 
     def _act(self, act: Actuation, shown_thrust: float) -> Actuation:
         """Remember what ATTITUDE_TARGET and the servo outputs will show."""
-        self._throttle = act.throttle
-        self._commanded = (act.R_c, act.Omega_c, shown_thrust)
+        self._shown = (act.throttle, (act.R_c, act.Omega_c, shown_thrust))
         return act
 
-    def _place(self, c: Command) -> Array | None:
-        """(3,) m, W: the place in a command's parameters 5 to 7, NaN for where it is; None for none on earth."""
-        lat, lon, altitude = c.params[4:]
-        x = self._at.copy()
-        if c.frame is not None and c.frame not in GLOBAL_FRAMES:
-            return None
-        if math.isfinite(lat) and math.isfinite(lon):
-            if abs(lat) > 90.0 or abs(lon) > 180.0:
-                return None
-            x[:2] = local(self._origin, lat, lon, 0.0)[:2]
-        if math.isfinite(altitude):
-            above_home = c.frame in RELATIVE_FRAMES
-            x[2] = self._home[2] - altitude if above_home else self._origin.altitude_m - altitude
-        return x if float(np.abs(x).max()) < FAR_M else None
-
     def _thrust_now_N(self) -> float:
-        return self.body.max_thrust_N * self._throttle**2
+        return self.body.max_thrust_N * self._shown[0] ** 2
 
     def _motor_command_of(self, thrust_N: float) -> float:
         return math.sqrt(min(max(thrust_N / self.body.max_thrust_N, 0.0), 1.0))
@@ -435,28 +388,21 @@ class Autopilot(ABC):
         return Actuation(R_c, NO_RATE, self._motor_command_of(thrust_N), False)
 
     def _begin(self, s: Snapshot) -> None:
-        self.navigator.begin(s, 0.0 if self.landed == ON_GROUND else self._thrust_now_N(), self._sinks_m_s2)
+        self.navigator.begin(s, 0.0 if self.landed == ON_GROUND else self._thrust_now_N(), self._position.sinks_m_s2)
 
     def _down(self, speed: float) -> Goal:
         """Straight down until something stops it."""
-        here = self.navigator.goal.x if self.navigator.active else self._at
+        here = self.navigator.goal.x if self.navigator.active else self._position.x
         return Goal(np.array([here[0], here[1], FAR_M]), speed)
 
     def _homewards(self, s: Snapshot, altitude_m: float, speed: float, land_speed: float) -> Goal:
         """Return: up to the altitude where it is lower, over to home, down."""
-        over = math.hypot(s.x[0] - self._home[0], s.x[1] - self._home[1])
+        over = math.hypot(s.x[0] - self._position.home[0], s.x[1] - self._position.home[1])
         if over < 0.5:
-            return Goal(np.array([self._home[0], self._home[1], FAR_M]), land_speed)
-        height = min(float(s.x[2]), float(self._home[2]) - altitude_m)
+            return Goal(np.array([self._position.home[0], self._position.home[1], FAR_M]), land_speed)
+        height = min(float(s.x[2]), float(self._position.home[2]) - altitude_m)
         if self.navigator.active and self.navigator.goal.x[2] < FAR_M:
             height = min(height, float(self.navigator.goal.x[2])) if over > 0.5 else height
         if float(s.x[2]) > height + 0.5:
             return Goal(np.array([s.x[0], s.x[1], height]), speed)
-        return Goal(np.array([self._home[0], self._home[1], height]), speed)
-
-    def _note(self, s: Snapshot) -> None:
-        """Keep track of where it is and how it accelerates downwards."""
-        dt = (s.boot_us - self._noted_us) * 1e-6
-        if 0 < dt < 0.1:
-            self._sinks_m_s2 = (float(s.v[2]) - self._v_down) / dt
-        self._at, self._R, self._v_down, self._noted_us = s.x, s.R, float(s.v[2]), s.boot_us
+        return Goal(np.array([self._position.home[0], self._position.home[1], height]), speed)

@@ -88,7 +88,7 @@ class Px4(Autopilot):
     ) -> None:
         hover = math.sqrt(min(1.0, body.mass_kg * body.g / body.max_thrust_N))
         parameters = px4_parameters(system_id, hover)
-        super().__init__(system_id, tick_us, links, body, parameters, DEFAULT_HZ, ready_us)
+        super().__init__(system_id, tick_us, links, body, parameters, default_hz=DEFAULT_HZ, ready_us=ready_us)
         self.mode = Px4Mode.LOITER
         self.terminated = False
         self.returned: Px4Mode | None = None  # the mode a setpoint-loss failsafe interrupted
@@ -103,7 +103,7 @@ class Px4(Autopilot):
 
     def _setpoint(self, value: AttitudeTarget, now_us: int) -> None:
         if value.component in (0, 1):
-            self._target, self._target_at_us = value, now_us
+            self._target.value, self._target.at_us = value, now_us
 
     def _position_setpoint(self, value: PositionTarget, now_us: int) -> None:
         """Places in the local frame alone, velocities in the body's too; every axis by itself."""
@@ -114,8 +114,10 @@ class Px4(Autopilot):
             self._warn("SET_POSITION_TARGET_LOCAL_NED: force setpoint unsupported")
         else:
             asked = value._replace(type_mask=value.type_mask | X_IGNORED) if body else value
-            self._target = goal_of(asked, self._at, self._R, self.parameters["MPC_XY_CRUISE"], False, body)
-            self._target_at_us = now_us
+            self._target.value = goal_of(
+                asked, self._position.x, self._position.R, self.parameters["MPC_XY_CRUISE"], False, body
+            )
+            self._target.at_us = now_us
 
     def _addressed(self, c: Command) -> bool:
         return c.system == self.system_id and c.component in (0, 1)
@@ -150,7 +152,7 @@ class Px4(Autopilot):
         """DO_REPOSITION: into Hold, at a place; without its flag for the change of mode it is not obeyed."""
         if flags < 0 or not flags & M.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE:
             return UNSUPPORTED
-        place = self._place(c)
+        place = self._position.asked(c)
         if place is None:
             return DENIED
         result = self._switch(Px4Mode.LOITER, now_us)
@@ -167,9 +169,9 @@ class Px4(Autopilot):
         if kind != M.FAILURE_TYPE_OFF or not 0 <= instance <= ROTORS:
             return UNSUPPORTED
         if unit == M.FAILURE_UNIT_SYSTEM_MOTOR:
-            self.injected.append(("rotor-out", None if instance == 0 else instance - 1))
+            self.breakage.injected.append(("rotor-out", None if instance == 0 else instance - 1))
         elif unit == M.FAILURE_UNIT_SENSOR_GPS:
-            self.injected.append(("gps-loss", None))
+            self.breakage.injected.append(("gps-loss", None))
         else:
             return UNSUPPORTED
         return ACCEPTED
@@ -218,10 +220,10 @@ class Px4(Autopilot):
 
     def fresh_setpoint(self, now_us: int) -> bool:
         """Whether the offboard signal stands: a setpoint within COM_OF_LOSS_T."""
-        return now_us - self._target_at_us <= self.parameters["COM_OF_LOSS_T"] * 1e6
+        return now_us - self._target.at_us <= self.parameters["COM_OF_LOSS_T"] * 1e6
 
     def carries(self, now_us: int) -> bool:
-        if not self.armed or now_us - self._armed_at_us < self.parameters["COM_SPOOLUP_TIME"] * 1e6:
+        if not self.armed or now_us - self.arming.armed_at_us < self.parameters["COM_SPOOLUP_TIME"] * 1e6:
             return False
         return self.fresh_setpoint(now_us) if self.mode is Px4Mode.OFFBOARD else self.mode is Px4Mode.TAKEOFF
 
@@ -266,10 +268,10 @@ class Px4(Autopilot):
         if not self.armed or self.landed != ON_GROUND:
             return
         idle, after_landing = self.parameters["COM_DISARM_PRFLT"], self.parameters["COM_DISARM_LAND"]
-        flew = self._landed_at_us > self._armed_at_us
-        if flew and 0 < after_landing <= (now_us - self._landed_at_us) * 1e-6:
+        flew = self.arming.landed_at_us > self.arming.armed_at_us
+        if flew and 0 < after_landing <= (now_us - self.arming.landed_at_us) * 1e-6:
             self._disarm_by_itself("Disarmed by landing")
-        elif not flew and 0 < idle <= (now_us - self._armed_at_us) * 1e-6 and self.mode is not Px4Mode.TAKEOFF:
+        elif not flew and 0 < idle <= (now_us - self.arming.armed_at_us) * 1e-6 and self.mode is not Px4Mode.TAKEOFF:
             self._disarm_by_itself("Disarmed by auto preflight disarming")
 
     def _land_detected(self) -> None:
@@ -290,16 +292,16 @@ class Px4(Autopilot):
     # -- what it does --------------------------------------------------------------------------------------------------
 
     def actuation(self, s: Snapshot) -> Actuation:
-        self._note(s)
-        spooling = s.boot_us - self._armed_at_us < self.parameters["COM_SPOOLUP_TIME"] * 1e6
+        self._position.note(s)
+        spooling = s.boot_us - self.arming.armed_at_us < self.parameters["COM_SPOOLUP_TIME"] * 1e6
         if not self.armed or self.terminated or (spooling and self.landed == ON_GROUND):
             act = Actuation(s.R, NO_RATE, 0.0, True)
-        elif self.mode is Px4Mode.OFFBOARD and isinstance(self._target, Goal):
-            act = self._go(s, self._target)
-        elif self.mode is Px4Mode.OFFBOARD and isinstance(self._target, AttitudeTarget):
+        elif self.mode is Px4Mode.OFFBOARD and isinstance(self._target.value, Goal):
+            act = self._go(s, self._target.value)
+        elif self.mode is Px4Mode.OFFBOARD and isinstance(self._target.value, AttitudeTarget):
             self.navigator.end()
-            asked = 0.0 if self._target.type_mask & 64 else self._target.thrust
-            return self._act(self._offboard(s, self._target), abs(asked))  # the size of thrust_body
+            asked = 0.0 if self._target.value.type_mask & 64 else self._target.value.thrust
+            return self._act(self._offboard(s, self._target.value), abs(asked))  # the size of thrust_body
         else:
             act = self._on_board(s)
         return self._act(act, act.throttle)

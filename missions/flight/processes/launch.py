@@ -47,7 +47,7 @@ def launches(flight: Flight, backend: Backend, path: Path | None, offset: int, h
     for i, kind in enumerate(kinds(flight, backend)):
         if kind == "arducopter":
             rate = round(1e6 / joint_steps(flight, backend).frame_us)
-            out.append(_ardupilot(flight, i, _binary(path, "arducopter"), offset, host, speed, rate))
+            out.append(_ardupilot(flight, i, _binary(path, "arducopter"), offset, host, speed=speed, rate=rate))
         else:
             out.append(_px4(flight, i, _binary(path, "px4"), offset, speed))
     return out

@@ -24,8 +24,10 @@ from missions.scenario import loading as scenarios
 from missions.scenario.loading import Flight, ScenarioError
 from missions.scenario.tables import BarometerTable, FailureTable, GpsTable, ImuTable, MagnetometerTable, SensorsTable
 from sitl.batteries import Battery
-from sitl.external.joint import AutopilotError, External, JointServer, Steps, steps
+from sitl.external.joint import JointServer, Steps, steps
+from sitl.external.seats import AutopilotError, External
 from sitl.failures import Failure
+from sitl.firmware.personas import PERSONAS
 from sitl.instruments import Grades
 from sitl.plant import PhysicsError, Truth
 from sitl.server import Server
@@ -36,7 +38,7 @@ LOOK_UP = 32  # questions whether to stop, for each look at whether the parent l
 
 Backend = Literal["builtin", "ardupilot", "px4", "mixed"]
 BACKENDS: tuple[Backend, ...] = get_args(Backend)
-KINDS = {"ardupilot": "arducopter", "px4": "px4"}
+KINDS = {persona.backend: name for name, persona in PERSONAS.items()}  # by the word of --backend
 BUILT_IN_ONLY = ("lands", "returns", "gps-loss")  # failures of what real autopilots decide or measure themselves
 
 
