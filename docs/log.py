@@ -21,6 +21,7 @@ data), `/perf` aside.
 | `/control/estimate` | cablequad.EstimateError | every decision | how far the state that was gone by is from the true one |
 | `/mavlink/quadN/rx`, `/tx`, `/mavlink/payload/rx` | cablequad.MavlinkFrame | as on the wire | raw frames, received and sent by the controller |
 | `/event`, `/plant/event` | cablequad.Event | events | of the controller, of the simulator |
+| `/plant/wind` | cablequad.Wind | 10 Hz | how the air moves, where it does and a simulator tells it |
 | `/log`, `/plant/log` | foxglove.Log | events | the same for viewers |
 | `/tf`, `/scene` | foxglove.FrameTransforms, SceneUpdate | 50 Hz, once | frames and bodies for viewers; `map_enu` is Z up |
 | `/perf` | cablequad.Perf | 1 Hz | wall-clock figures |

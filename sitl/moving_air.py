@@ -15,6 +15,7 @@ class MovingAir:
         """`h`: s, of a step."""
         self._wind, self._h = wind, h
         self._drawn = np.zeros((0, 3))  # m/s: of the wind
+        self.newest: Array | None = None  # (3,) m/s, W: of the last step; None where no air has moved
         self.calm_down()
 
     def calm_down(self) -> None:
@@ -39,4 +40,6 @@ class MovingAir:
             share = np.where(t < self._gust_s, 0.5 * (1.0 - np.cos(2.0 * np.pi * t / self._gust_s)), 0.0)
             wind = wind + share[:, None] * self._gust
             self._gust_at += steps * self._h
+        if wind is not None and (self._wind is not None or self._gust_s > 0.0):
+            self.newest = wind[-1]
         return wind

@@ -33,6 +33,13 @@ class Truth(NamedTuple):
         return motion_of(self.row, self.shapes)
 
 
+class AirMotion(NamedTuple):
+    """How the air moves at an instant: for the recorder alone."""
+
+    boot_us: int
+    wind: tuple[float, float, float]  # m/s, W
+
+
 class PhysicsError(ArithmeticError):
     """The motion left the numbers."""
 
@@ -183,6 +190,11 @@ class Plant:
     def truth(self, boot_us: int) -> Truth:
         """Everything, at this instant."""
         return Truth(boot_us, self.restrained, self._parts.look(self.thrust), self._shapes)
+
+    def air(self, boot_us: int) -> AirMotion | None:
+        """How the air moves; None where it never did."""
+        wind = self._air.newest
+        return None if wind is None else AirMotion(boot_us, (float(wind[0]), float(wind[1]), float(wind[2])))
 
     def specific_force(self, truth: Truth) -> Array:
         """(n, 3) m/s^2, body frames: what each accelerometer reads; the support carries vehicles while restrained."""

@@ -32,6 +32,7 @@ from sitl.vehicle_links import VehicleLinks
 
 NO_FORCE = np.zeros(3)
 LOOK_S, RESEND_LOOKS = 0.1, 10  # wall clock, of one look for answers; after so many the tick is said again
+AIR_US = 100_000  # between two words on how the air moves
 CATCH_UP = 0.25  # s behind the wall clock that are made up for; more is let go
 
 
@@ -150,17 +151,22 @@ class Server:
         if truth is not None:
             self._sink(truth)
         for i, vehicle in enumerate(self.vehicles):
-            for text in self.links.deliver(i, vehicle, now):
-                self._sink(Event(now, "mishandled", f"vehicle {i + 1}", text))
+            self._deliver(i, vehicle, now)
             vehicle.tick(now)
         self._release.settle(now, self.plant, self.vehicles)
         self._condition.act(now, s.tick_us, self._release.at_us, self.plant, self.vehicles)
+        if isinstance(self.plant, Plant) and now % AIR_US == 0 and (air := self.plant.air(now)) is not None:
+            self._sink(air)
         self.plant.command([vehicle.actuation(image) for vehicle, image in zip(self.vehicles, own, strict=True)])
         for part in range(1, s.tick_us // s.truth_us + 1):
             if part > 1 and isinstance(self.plant, Plant):
                 self._sink(self.plant.truth(now + (part - 1) * s.truth_us))
             self.plant.advance(s.truth_us // s.physics_us)
         self._compose(now + s.tick_us)
+
+    def _deliver(self, i: int, vehicle: Autopilot, now: int) -> None:
+        for text in self.links.deliver(i, vehicle, now):
+            self._sink(Event(now, "mishandled", f"vehicle {i + 1}", text))
 
     def _compose(self, now: int) -> None:
         """Put together what is said at `now`: sensors tell what acted until then."""

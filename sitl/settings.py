@@ -16,7 +16,7 @@ from sitl.batteries import Battery
 from sitl.failures import Failure
 from sitl.instruments import Grades, Instruments
 from sitl.parts import Surroundings
-from sitl.plant import Plant, Truth
+from sitl.plant import AirMotion, Plant, Truth
 from sitl.sensors import Sensors
 from sitl.wind import Weather, Wind
 
@@ -102,7 +102,8 @@ def unread_frames(counters: Counters) -> dict[str, int]:
     return unread | {verdict.value: count for verdict, count in counters.refused.items()}
 
 
-Sink = Callable[[Truth | Event], None]
+Told = Truth | Event | AirMotion  # what a server says to the recorder
+Sink = Callable[[Told], None]
 
 
 def own_generator(seed: int, what: str) -> np.random.Generator:

@@ -61,10 +61,10 @@ def controller(name: str, offset: int) -> set[tuple[str, Any]]:
     found: list[set[tuple[str, Any]]] = []
     fly = run._fly
 
-    def flown(*arguments: Any) -> Any:
+    def flown(*arguments: Any, **named: Any) -> Any:
         found.append(used())
         try:
-            return fly(*arguments)
+            return fly(*arguments, **named)
         finally:
             found.append(used())
 

@@ -199,7 +199,7 @@ def hear(server: Server, sender: socket.socket, addresses: list, batch: list[byt
     server._receive(0.0)
     for i, vehicle in enumerate(server.vehicles):
         server.links.inbox[i] = [(0, received) for _, received in server.links.inbox[i]]
-        server.links.deliver(i, vehicle, server.now_us)
+        server._deliver(i, vehicle, server.now_us)
 
 
 def check(server: Server) -> None:

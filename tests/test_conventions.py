@@ -14,6 +14,7 @@ import pytest
 import typer
 from conftest import COMMAND, Command, cablequad, next_offset
 
+from logs.reading.reader import read
 from missions.cli.main import app
 
 GOLDEN = Path(__file__).parent / "golden" / "v2-paper-case-2-50hz.mcap"
@@ -179,3 +180,32 @@ def test_the_files_that_contributing_names_exist() -> None:
     assert len(named) > 60
     missing = [name for name in named if not (root / name).is_dir() and not (root / f"{name}.py").is_file()]
     assert [name for name in missing if "NAME" not in name] == []
+
+
+def test_a_flight_goes_on_when_nobody_reads_what_it_says(tmp_path: Path) -> None:
+    command = [str(COMMAND), "fly", "paper-case-1", "--no-replay", "--out", str(tmp_path)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    assert process.stdout is not None
+    assert process.stderr is not None
+    process.stdout.close()
+    process.stderr.read(1)
+    process.stderr.close()
+    assert process.wait(240) == 0
+    (log,) = tmp_path.glob("*.mcap")
+    assert read(log).complete
+
+
+def test_a_terminal_that_closes_ends_a_flight_in_order(tmp_path: Path) -> None:
+    command = [str(COMMAND), "fly", "paper-case-1", "--speed", "1", "--no-replay", "--out", str(tmp_path)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True)
+    until = time.monotonic() + 240.0
+    while not any(part.stat().st_size > 100_000 for part in tmp_path.glob("*.mcap.part")):
+        assert time.monotonic() < until
+        time.sleep(0.1)
+    os.killpg(process.pid, signal.SIGHUP)  # as a terminal does, to all of its processes
+    process.communicate(timeout=120)
+    assert process.returncode == 130
+    (log,) = tmp_path.glob("*.mcap")
+    run = read(log)
+    assert run.complete
+    assert "interrupted" in run.metadata["result"]["reason"]

@@ -62,11 +62,11 @@ def test_the_plans_clock_stands_until_nobody_stops_it() -> None:
 @pytest.mark.parametrize(
     ("kind", "shown"),
     [
-        ("vehicle-out", lambda p, _: (p._parts[0].world.rotors.works[1] == 0.0).all()),
-        ("rotor-out", lambda p, _: p._parts[0].world.rotors.works[1].tolist() == [1.0, 1.0, 0.0, 1.0]),
+        ("vehicle-out", lambda p, _: (p._parts.main.world.rotors.works[1] == 0.0).all()),
+        ("rotor-out", lambda p, _: p._parts.main.world.rotors.works[1].tolist() == [1.0, 1.0, 0.0, 1.0]),
         ("cable-cut", lambda p, _: p.truth(0).motion.tension[1].max() < 0.2),
-        ("payload-shift", lambda p, _: np.allclose(p._parts[0].system.rho, p.system.rho - [0.0, 0.1, 0.0])),
-        ("gust", lambda p, _: np.linalg.norm(p._air(500)[-1] - p._air(1)[0]) > 0.0),
+        ("payload-shift", lambda p, _: np.allclose(p._parts.main.system.rho, p.system.rho - [0.0, 0.1, 0.0])),
+        ("gust", lambda p, _: np.linalg.norm(p._air.next(500, True)[-1] - p._air.next(1, True)[0]) > 0.0),
         ("gps-loss", lambda _, b: b.astray(1, 3_000_000) is not None and b.astray(0, 3_000_000) is None),
         ("low-battery", lambda _, b: b.battery[1] < 0.2 and b.battery[0] == 1.0),
     ],

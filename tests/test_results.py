@@ -1,5 +1,6 @@
 """What a run is judged by, shown alike everywhere; which cables are slack; what a page shows of a whole mission."""
 
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -8,10 +9,15 @@ import pytest
 
 from cablequad.model.state import State
 from cablequad.model.system import System
+from logs.reading.reader import read
 from logs.views import figures
 from logs.views.results import FIGURES, LED_ON, rows
+from logs.views.vehicle_reports import vehicle_reports
+from missions.flight.options import Options, Progress
 from missions.flight.recording.slack import LASTS_US, SlackCables
+from missions.flight.run import run as run_flight
 from missions.flight.summary import Summary
+from missions.scenario.loading import load
 from missions.scenario.tables import AcceptanceTable
 
 RESULT: dict[str, Any] = {
@@ -99,3 +105,24 @@ def test_means_of_a_curve_keep_its_extremes(bins: int) -> None:
     assert (least <= mean).all()
     assert (mean <= most).all()
     assert least.min() == pytest.approx(-1.0, abs=1e-3)
+
+
+def test_a_log_tells_how_the_air_moved_and_what_vehicles_said_of_themselves(tmp_path: Path) -> None:
+    options = Options(out=tmp_path, in_process=True)
+    summary, _ = run_flight(load("wrong-model-in-wind", duration_s=3.0), options, Progress())
+    run = read(Path(str(summary.log)))
+    wind = run.columns["/plant/wind"]
+    assert np.diff(wind["sim_time_ns"]) == pytest.approx(1e8)
+    assert np.linalg.norm(wind["velocity"].mean(axis=0) - (2.4, 1.8, 0.0)) < 1.5  # gusts of a second or two
+    for vehicle in (1, 2, 3, 4):
+        said = vehicle_reports(run, vehicle)
+        assert [mode for _, mode in said.modes] == ["disarmed", "OFFBOARD", "LOITER"]  # it holds at the end
+        assert said.modes[1][0] == pytest.approx(0.0, abs=1.5)
+        assert said.battery[1] == pytest.approx(100.0)
+    assert vehicle_reports(run, 9).modes == []
+
+
+def test_a_calm_log_has_no_wind(tmp_path: Path) -> None:
+    options = Options(out=tmp_path, in_process=True)
+    summary, _ = run_flight(load("paper-case-1-50hz", duration_s=1.0), options, Progress())
+    assert "/plant/wind" not in read(Path(str(summary.log))).columns

@@ -156,6 +156,14 @@ class MavlinkFrame(_message.Message):
     name: str
     def __init__(self, frame: _Optional[bytes] = ..., msgid: _Optional[int] = ..., sysid: _Optional[int] = ..., compid: _Optional[int] = ..., seq: _Optional[int] = ..., name: _Optional[str] = ...) -> None: ...
 
+class Wind(_message.Message):
+    __slots__ = ("sim_time_ns", "velocity")
+    SIM_TIME_NS_FIELD_NUMBER: _ClassVar[int]
+    VELOCITY_FIELD_NUMBER: _ClassVar[int]
+    sim_time_ns: int
+    velocity: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, sim_time_ns: _Optional[int] = ..., velocity: _Optional[_Iterable[float]] = ...) -> None: ...
+
 class Perf(_message.Message):
     __slots__ = ("sim_time_ns", "turnaround_s", "ticks", "queue_length", "real_time_factor")
     SIM_TIME_NS_FIELD_NUMBER: _ClassVar[int]

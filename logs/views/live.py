@@ -64,7 +64,7 @@ def _send(out: rr.RecordingStream, tail: Tail, events: list[Happening], trail: l
     except LogError:
         return
     if not trail:
-        out.send_blueprint(layout(motion))
+        out.send_blueprint(layout(motion, ended=False))
     trail.append(motion.x0)
     replay.log(out, run, motion, told=told)
     replay.log_trail(out, np.concatenate(trail))

@@ -37,14 +37,14 @@ def page(run: Run, figures: Mapping[str, Path]) -> str:
     result = {k: _json(v) for k, v in run.metadata.get("result", {}).items()}
     name = html.escape(about.get("scenario", run.path.name))
     if result:
-        verdict = "passed" if result.get("passed") else "failed"
+        verdict = PASSED if result.get("passed") else "failed"
         said = html.escape(str(result.get("reason", "")))
     else:
         verdict, said = "failed", "the run did not end in order: the log has no result"
     parts = [
         f"<!doctype html><html lang=en><meta charset=utf-8><title>{name}</title><style>{STYLE}</style>",
-        f"<h1>{name}</h1><p class='verdict {verdict}'>{verdict}: {said}</p><p>{_answered(run)}</p>",
-        _table(("", "", "asked"), [tuple(map(html.escape, row)) for row in rows(result)]),
+        f"<h1>{name}</h1><p class='verdict {verdict}'>{verdict}: {said}</p><p>{_answered(run, verdict)}</p>",
+        _table(("", "", "asked"), [tuple(map(html.escape, row)) for row in rows(result)]) if result else "",
     ]
     for key, path in figures.items():
         data = base64.b64encode(path.read_bytes()).decode()
@@ -84,14 +84,16 @@ def _links(run: Run) -> list[tuple[str, ...]]:
     return lines
 
 
+PASSED = "passed"
 ANSWERS = ("failure", "autopilot-lost", "lost", "crew", "guard", "pause", "resume", "abort")
 
 
-def _answered(run: Run) -> str:
+def _answered(run: Run, verdict: str) -> str:
     """One line: what went wrong, and what the controller did about it."""
     told = [e for e in run.events if e.kind.removeprefix("sitl-") in ANSWERS]
     if not told:
-        return "Nothing went wrong: it was flown as planned."
+        nothing = "Nothing went wrong: it was flown as planned."
+        return nothing if verdict == PASSED else "No vehicle failed, and no guard was broken."
     at = [f"{(e.time_ns - run.release_ns) * 1e-9:.2f} s {e.subject}: {e.text}" for e in told]
     return html.escape("What went wrong, and what was done: " + "; ".join(at) + ".")
 

@@ -12,8 +12,8 @@ from rerun.experimental import ViewerClient
 from logs.reading.reader import LogError
 from logs.views.replay_layout import TIMELINE
 
-START_S = 60.0
-SETTLE_S = 1.5
+START_S = 180.0  # wall clock, of a viewer on a slow computer
+LOOK_S = 0.75  # wall clock, between two pictures that are compared
 
 
 def screenshots(rrd: Path, shots: dict[float, Path], port: int = 9913) -> None:
@@ -36,11 +36,11 @@ def screenshots(rrd: Path, shots: dict[float, Path], port: int = 9913) -> None:
             time.sleep(0.2)
         for t, png in shots.items():
             viewer.set_time(TIMELINE, duration=np.timedelta64(round(t * 1e9), "ns"), play_state="paused")
-            time.sleep(SETTLE_S)
+            time.sleep(LOOK_S)
             reports = [str(report) for view in viewer.get_state().views for report in view.reports]
             if reports:
                 raise LogError(f"the Rerun viewer reports: {reports[0]}")
-            viewer.save_screenshot(str(png))
+            _save_settled(viewer, png)
     except (ConnectionError, RuntimeError, OSError) as error:
         why = (str(error).splitlines() or [""])[0]
         raise LogError(
@@ -50,6 +50,18 @@ def screenshots(rrd: Path, shots: dict[float, Path], port: int = 9913) -> None:
     finally:
         with contextlib.suppress(ConnectionError, RuntimeError, OSError):
             viewer.quit()
+
+
+def _save_settled(viewer: ViewerClient, png: Path) -> None:
+    """Save what is shown once two pictures in a row are the same: how long drawing takes is the computer's affair."""
+    before, until = b"", time.monotonic() + START_S
+    while time.monotonic() < until:
+        viewer.save_screenshot(str(png))
+        shown = png.read_bytes()
+        if shown == before:
+            return
+        before = shown
+        time.sleep(LOOK_S)
 
 
 LOCAL = ["--bind", "127.0.0.1"]  # the viewer listens for recordings, of this machine alone

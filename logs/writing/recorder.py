@@ -142,6 +142,7 @@ _TYPES: dict[str, Any] = {
     "/event": pb.Event,
     "/plant/event": pb.Event,
     "/plant/log": Log,
+    "/plant/wind": pb.Wind,
     "/perf": pb.Perf,
 }
 
@@ -249,6 +250,10 @@ class Recorder:
         message = pb.Event(sim_time_ns=boot_us * 1000, kind=kind, subject=subject, text=text)
         line = encode.log_line(self._epoch_ns + boot_us * 1000, kind, subject, text)
         return [(f"{room}/event", message.SerializeToString()), (f"{room}/log", line.SerializeToString())]
+
+    def air(self, boot_us: int, wind: tuple[float, float, float]) -> list[Message]:
+        """How the air moves, (3,) m/s, W, as a simulator tells it."""
+        return [("/plant/wind", pb.Wind(sim_time_ns=boot_us * 1000, velocity=wind).SerializeToString())]
 
     def perf(self, boot_us: int, turnaround_s: float, ticks: int, waiting: int) -> None:
         """Wall-clock figures; `waiting` records of the simulator have not been written yet."""

@@ -31,6 +31,7 @@ from missions.cli.options import (
     refuse,
 )
 from missions.cli.replay_command import replay
+from missions.cli.streams import unbroken
 
 if TYPE_CHECKING:
     from missions.flight.summary import Summary
@@ -291,6 +292,9 @@ def show(name: ScenarioArgument) -> None:
         usage(str(error))
 
 
+ENDING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+
+
 def main() -> None:
     """Entry point of the `cablequad` command."""
     for stream in (sys.stdout, sys.stderr):
@@ -302,10 +306,11 @@ def main() -> None:
         interrupted.append(number)
         raise KeyboardInterrupt
 
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: signal.getsignal(number) for number in ENDING}
     for number, usual in before.items():
         if usual in (signal.default_int_handler, signal.SIG_DFL):  # whoever starts us may have us ignore it
             signal.signal(number, interrupt)
+    unbroken()
     try:
         app()
     except KeyboardInterrupt:

@@ -334,7 +334,10 @@ class _Waits:
 
 @contextmanager
 def _interrupts() -> Iterator[Callable[[], bool]]:
-    """While inside, Ctrl-C and SIGTERM only raise a flag, so that a flight ends in order; a second Ctrl-C is a stop."""
+    """While inside, Ctrl-C, SIGTERM and a terminal that closes only raise a flag: a flight ends in order.
+
+    A second Ctrl-C is a stop.
+    """
     flag: list[int] = []
 
     def raised(number: int, _: FrameType | None) -> None:
@@ -344,6 +347,8 @@ def _interrupts() -> Iterator[Callable[[], bool]]:
 
     try:
         old = {s: signal.signal(s, raised) for s in (signal.SIGINT, signal.SIGTERM)}
+        if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # not under nohup
+            old[signal.SIGHUP] = signal.signal(signal.SIGHUP, raised)
     except ValueError:  # not in the main thread: whoever runs us handles signals
         yield lambda: False
         return

@@ -17,8 +17,7 @@ from missions.scenario.loading import Flight
 from sitl.addresses import places, tracker_endpoints
 from sitl.external.ardupilot import ARDUPILOT_PORT
 from sitl.external.px4 import PX4_PORT
-from sitl.plant import Truth
-from sitl.settings import Event, Report
+from sitl.settings import Event, Report, Told
 
 FOLDER = Path("autopilots")  # where they work
 
@@ -36,7 +35,7 @@ def serve(flight: Flight, serving: Serving, launch: Path | None = None) -> None:
     def stop(_: int, __: FrameType | None) -> None:
         stopped.set()
 
-    def sink(message: Truth | Event) -> None:
+    def sink(message: Told) -> None:
         if isinstance(message, Event):
             console.print(f"t = {message.boot_us * 1e-6:8.2f} s  {message.kind}: {message.text}")
 

@@ -36,6 +36,7 @@ FRAME_US = 1250  # the longest step: ArduCopter does not arm below 1.8 times its
 LONG_TICK_US = 5000  # of whole such steps
 START_US = 1_000_000  # of the physics' clock: no firmware is told that it is 0
 LANDED_US = 200_000
+AIR_US = 100_000  # between two words on how the air moves
 REAL_TIME_S = 0.2  # behind the wall clock that is made up for
 
 
@@ -193,6 +194,8 @@ class JointServer:
         if now % s.truth_us == 0:
             truth = self.plant.truth(now)
             self._sink(truth)
+            if now % AIR_US == 0 and (air := self.plant.air(now)) is not None:
+                self._sink(air)
             if now % s.tick_us == 0:
                 self._track(truth)
 

@@ -7,6 +7,14 @@ from collections.abc import Iterator
 from multiprocessing import resource_tracker
 from multiprocessing.process import BaseProcess
 
+FROM_TERMINAL = frozenset({signal.SIGINT, signal.SIGHUP})  # sent to all processes of a terminal
+
+
+def leave_to_parent() -> None:
+    """In a child: what a terminal sends to all is the parent's to act on, which decides when a flight ends."""
+    for number in FROM_TERMINAL:
+        signal.signal(number, signal.SIG_IGN)
+
 
 @contextlib.contextmanager
 def without_main() -> Iterator[None]:
@@ -26,7 +34,7 @@ def without_main() -> Iterator[None]:
 
 
 def begin(process: BaseProcess) -> None:
-    """Start `process` with SIGINT blocked, which a terminal sends to all: it is this process's to decide what ends.
+    """Start `process` with what a terminal sends to all blocked: it is this process's to decide what ends.
 
     It comes with the interrupt blocked, as it cannot ignore one before its own code runs, and that takes a second to
     load. What interrupts us meanwhile does so once it is told all that it needs.
@@ -37,7 +45,7 @@ def begin(process: BaseProcess) -> None:
         handler = signal.signal(signal.SIGINT, lambda number, _: came.append(number))
     except ValueError:  # not in the main thread: whoever runs us handles signals
         handler = None
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, FROM_TERMINAL)
     try:
         with without_main():
             process.start()

@@ -14,9 +14,9 @@ from logs.writing.recorder import Recorder
 from missions.flight.recording.ipc import put, put_sample, sample_shapes
 from missions.flight.recording.log_process import LogHeader, encode_once, recorder_of
 from missions.flight.recording.merge import Judged, Merge
-from sitl.plant import PhysicsError, Truth
+from sitl.plant import PhysicsError
 from sitl.server import Server
-from sitl.settings import Event, Report, Settings
+from sitl.settings import Report, Settings, Told
 
 TOGETHER = 64  # decisions that are encoded at once, which costs less for each
 FLUSH_DECISIONS = 4096  # between two times that what is written is handed to the disk
@@ -180,5 +180,5 @@ class InProcessSimulator:
         self.report = self._server.report()
         self._server.close()
 
-    def _sink(self, message: Truth | Event) -> None:
+    def _sink(self, message: Told) -> None:
         put(self._truth, [message])

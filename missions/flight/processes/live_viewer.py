@@ -2,14 +2,13 @@
 
 import multiprocessing
 import os
-import signal
 from pathlib import Path
 
-from missions.flight.processes.child_process import begin
+from missions.flight.processes.child_process import begin, leave_to_parent
 
 
 def _child(part: Path, parent: int) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    leave_to_parent()
     os.nice(15)  # a picture may be late
     from logs.views.live import follow
 

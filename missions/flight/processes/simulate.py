@@ -18,7 +18,7 @@ from bridge.loop.fly import STALL_S
 from bridge.wire.link import LinkError
 from cablequad.model.earth import Home
 from cablequad.model.noise import Biases
-from missions.flight.processes.child_process import begin
+from missions.flight.processes.child_process import begin, leave_to_parent
 from missions.flight.recording.ipc import PortsOpen, SimulatorFailure, Status, put
 from missions.scenario import loading as scenarios
 from missions.scenario.loading import Flight, ScenarioError
@@ -29,9 +29,9 @@ from sitl.external.seats import AutopilotError, External
 from sitl.failures import Failure
 from sitl.firmware.personas import PERSONAS
 from sitl.instruments import Grades
-from sitl.plant import PhysicsError, Truth
+from sitl.plant import PhysicsError
 from sitl.server import Server
-from sitl.settings import HOST, Event, Report, Settings, Sink
+from sitl.settings import HOST, Event, Report, Settings, Sink, Told
 
 TOLD_TOGETHER = 16  # ticks of truth in one write: a wake-up of the scribe costs more than what it is told
 LOOK_UP = 32  # questions whether to stop, for each look at whether the parent lives
@@ -195,14 +195,14 @@ def _ends(stopped: threading.Event, parent: int) -> Callable[[], bool]:
 
 
 def _child(values: Settings, status: Connection, truth: Connection) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides when a flight ends
+    leave_to_parent()
     stopped = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: stopped.set())
     parent = os.getppid()
 
-    waiting: list[Truth | Event] = []
+    waiting: list[Told] = []
 
-    def sink(message: Truth | Event) -> None:
+    def sink(message: Told) -> None:
         waiting.append(message)
         if len(waiting) >= TOLD_TOGETHER or isinstance(message, Event):
             put(truth, waiting)

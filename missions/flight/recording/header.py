@@ -5,7 +5,7 @@ import math
 import platform
 import subprocess
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib import metadata as packages
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from logs.writing.encode import SCHEMA_VERSION, Model
 from logs.writing.recorder import Attachment, RecorderError
 from missions.flight.recording.log_process import LogHeader
 from missions.scenario.loading import Flight
-from missions.scenario.mission_setup import standing
+from missions.scenario.mission_setup import guards, standing
 
 
 def opening(flight: Flight, design: Design, out: Path, lockstep: bool, connected: bool, vehicles: str) -> LogHeader:
@@ -33,6 +33,8 @@ def opening(flight: Flight, design: Design, out: Path, lockstep: bool, connected
         serial += 1
         path = out / f"{s.name}-{stamp}-{serial}.mcap"
     model = _model(flight, design)
+    ground_z = None if s.ground is None else s.ground.z_m
+    limits = {} if s.mission is None else {g.name: g.limit for g in guards(flight)}
     about = {
         "scenario": s.name,
         "seed": str(s.seed),
@@ -53,7 +55,7 @@ def opening(flight: Flight, design: Design, out: Path, lockstep: bool, connected
         model,
         {
             "run": about,
-            "model": drawn_model(model, s.target.position_m, None if s.ground is None else s.ground.z_m),
+            "model": drawn_model(model, s.target.position_m, ground_z, limits),
             "gains": {"law": s.control.law, **{key: json.dumps(value) for key, value in gains.items()}},
         },
         [
@@ -76,8 +78,13 @@ def _model(flight: Flight, design: Design) -> Model:
     return Model(flight.system, (x, y, z), tuple(flight.airframe.max_thrust.tolist()), (w, a, b, c))
 
 
-def drawn_model(model: Model, target_m: Sequence[float], ground_z: float | None = None) -> dict[str, str]:
-    """The `model` metadata record: what a replay needs to draw the system, each value as JSON."""
+def drawn_model(
+    model: Model, target_m: Sequence[float], ground_z: float | None = None, limits: Mapping[str, float] | None = None
+) -> dict[str, str]:
+    """The `model` metadata record: what a replay needs to draw the system, each value as JSON.
+
+    `limits` are those of the guards of a mission, by their names.
+    """
     system = model.system
     values = {
         "n": len(system.m),
@@ -89,6 +96,7 @@ def drawn_model(model: Model, target_m: Sequence[float], ground_z: float | None 
         "target_m": list(target_m),
         "target_quat_wxyz": list(model.target_quat_wxyz),
         "ground_z_m": ground_z,
+        "guards": dict(limits or {}),
     }
     return {key: json.dumps(value) for key, value in values.items()}
 

@@ -12,8 +12,8 @@ from cablequad.control.trajectory import Reference
 from cablequad.model.instant import Motion, Shapes, motion_of, motion_shapes, split
 from cablequad.model.state import Error, State
 from cablequad.types import Array
-from sitl.plant import Truth
-from sitl.settings import Event, Report
+from sitl.plant import AirMotion, Truth
+from sitl.settings import Event, Report, Told
 
 
 class Sender(Protocol):
@@ -35,7 +35,6 @@ class SimulatorFailure:
         self.text, self.untested = text, untested
 
 
-Message = Truth | Event
 Status = Report | PortsOpen | SimulatorFailure
 _NUMBERS = struct.Struct("=4d")
 
@@ -48,9 +47,9 @@ class PlantState(NamedTuple):
     values: bytes
 
 
-def put(channel: Sender, messages: Sequence[Message]) -> None:
+def put(channel: Sender, messages: Sequence[Told]) -> None:
     """Write what was said, in its order."""
-    parts: list[Event | tuple[int, bool, bytes]] = []
+    parts: list[Event | AirMotion | tuple[int, bool, bytes]] = []
     for m in messages:
         if isinstance(m, Truth):
             parts.append((m.boot_us, m.restrained, m.row.tobytes()))
@@ -59,9 +58,9 @@ def put(channel: Sender, messages: Sequence[Message]) -> None:
     channel.send_bytes(pickle.dumps(parts, 5))
 
 
-def take(data: bytes) -> list[PlantState | Event]:
+def take(data: bytes) -> list[PlantState | Event | AirMotion]:
     """What was said, in its order."""
-    return [part if isinstance(part, Event) else PlantState(*part) for part in pickle.loads(data)]
+    return [part if isinstance(part, Event | AirMotion) else PlantState(*part) for part in pickle.loads(data)]
 
 
 def take_motions(states: Sequence[PlantState], n: int, L: int) -> Motion:

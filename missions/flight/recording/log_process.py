@@ -28,7 +28,7 @@ from cablequad.model.state import State, differences
 from logs.writing import encode
 from logs.writing.encode import Model
 from logs.writing.recorder import FLUSH_S, Attachment, Recorder, RecorderError
-from missions.flight.processes.child_process import begin
+from missions.flight.processes.child_process import begin, leave_to_parent
 from missions.flight.recording.idle_scheduler import in_gaps
 from missions.flight.recording.ipc import put_sample, sample_shapes
 from missions.flight.recording.merge import Judged, Merge
@@ -249,8 +249,8 @@ def encode_once(model: Model) -> None:
 
 
 def _child(down: Connection, up: Connection, truth: Connection) -> None:
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)  # the bridge's end of the pipe decides
+    leave_to_parent()
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # the bridge's end of the pipe decides
     with contextlib.suppress(OSError):
         os.nice(10)  # the flight goes first
     try:

@@ -20,6 +20,7 @@ from logs.writing.recorder import Decisions, Message, Recorder
 from missions.flight.recording.ipc import PlantState, take, take_motions, take_samples
 from missions.flight.recording.slack import SlackCables
 from missions.scenario.metrics import Followed, Following, Grounded, OnGround, Standing
+from sitl.plant import AirMotion
 from sitl.settings import Event
 
 TRUTH_WAIT_S = 1.0  # the simulator says what it did right after it spoke; longer means that it has ended
@@ -59,7 +60,7 @@ class Merge:
         self._shape = model.system.length.shape
         self._n_links = model.system.n_links
         self._truth: TruthSource | None = truth
-        self._told: deque[PlantState | Event] = deque()
+        self._told: deque[PlantState | Event | AirMotion] = deque()
         self._answered_us = 0
         self._ended = False
         self._slack = SlackCables(model.system)
@@ -175,6 +176,9 @@ class Merge:
                 continue
             self._states(states)
             states = []
+            if isinstance(message, AirMotion):
+                self._true.append((message.boot_us, self._recorder.air(*message)))
+                continue
             self._line(message.boot_us, f"sitl-{message.kind}", message.subject, message.text)
         self._states(states)
 
