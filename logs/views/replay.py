@@ -46,7 +46,7 @@ def save(run: Run, path: Path, other: Run | None = None) -> None:
     """
     out = rr.RecordingStream("cablequad", recording_id=run.path.stem)
     motion = motion_of(run)
-    out.save(path, default_blueprint=layout(motion))
+    out.save(path, default_blueprint=layout(motion, windy="/plant/wind" in run.columns))
     log(out, run, motion, None if other is None else (other, motion_of(other)))
     out.flush()
     out.disconnect()

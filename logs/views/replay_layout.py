@@ -10,8 +10,11 @@ TIMELINE = "sim_time"
 BEHIND = np.array([-1.3, -0.3, -0.6])  # of the load, for each metre of its reach
 
 
-def layout(m: MotionHistory, ended: bool = True) -> rrb.Blueprint:
-    """3D and the phases on the left, plots on the right: over the whole run, where it has `ended`."""
+def layout(m: MotionHistory, ended: bool = True, windy: bool = True) -> rrb.Blueprint:
+    """3D and the phases on the left, plots on the right: over the whole run, where it has `ended`.
+
+    `windy`: whether the log says how the air moved.
+    """
     seen = np.concatenate(
         [m.nodes.reshape(-1, 3), m.nodes[0].reshape(-1, 3) + (np.array(m.model["target_m"]) - m.x0[0])]
     )
@@ -74,7 +77,7 @@ def layout(m: MotionHistory, ended: bool = True) -> rrb.Blueprint:
         plot("tilt, guards red [deg]", "/plots/tilt/**"),
         plot("separation of the two closest vehicles, guard red [m]", "/plots/separation/**"),
         plot("battery [%]", "/plots/battery/**", span=(0.0, 105.0)),
-        plot("wind, where it blows to [m/s, NED]", "/plots/wind/**"),
+        *([plot("wind, where it blows to [m/s, NED]", "/plots/wind/**")] if windy else []),
         rrb.StateTimelineView(name="mode, where armed", origin="/modes"),
         rrb.TextDocumentView(name="key", origin="/key"),
         grid_columns=2,

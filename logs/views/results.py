@@ -12,6 +12,7 @@ class Figure(NamedTuple):
     form: str  # with its unit
     criterion: str = ""  # in the scenario's [acceptance]; the key where nothing is said
     of_mission: bool = False  # of missions alone
+    of_plan: bool = False  # of a plan that ends at a target alone: where a mission ends the load stands
 
 
 class Row(NamedTuple):
@@ -25,12 +26,12 @@ class Row(NamedTuple):
 FIGURES = (
     Figure("final_position_error_m", "final position error", "{:.4f} m", "position_error_m"),
     Figure("rms_tracking_error_m", "rms tracking error", "{:.4f} m"),
-    Figure("mean_position_error_m", "mean error, last 10 s", "{:.4f} m"),
+    Figure("mean_position_error_m", "mean error, last 10 s", "{:.4f} m", of_plan=True),
     Figure("link_direction_error_deg", "link directions estimated to", "{:.2f} deg"),
     Figure("payload_attitude_error_deg", "load's attitude estimated to", "{:.2f} deg"),
-    Figure("final_speed_m_s", "final speed", "{:.4f} m/s", "speed_m_s"),
-    Figure("settling_time_s", "settled within 5 cm at", "{:.2f} s"),
-    Figure("final_e_q", "final link error e_q", "{:.4f}", "e_q"),
+    Figure("final_speed_m_s", "final speed", "{:.4f} m/s", "speed_m_s", of_plan=True),
+    Figure("settling_time_s", "settled within 5 cm at", "{:.2f} s", of_plan=True),
+    Figure("final_e_q", "final link error e_q", "{:.4f}", "e_q", of_plan=True),
     Figure("final_psi", "final Psi_i, largest", "{:.2e}", "psi"),
     Figure("max_psi", "largest Psi_i", "{:.4f}"),
     Figure("max_thrust_N", "largest thrust", "{:.2f} N"),
@@ -60,9 +61,11 @@ def rows(result: Mapping[str, Any]) -> list[Row]:
         value = result.get(figure.key)
         measured = figure.key.endswith("error_deg") and (value or 0.0) <= ALWAYS
         whole = figure.key == "state_age_ms" and value == 0.0  # every state was measured as a whole
-        if value is None or measured or whole or (figure.of_mission and not mission):
+        limit = _limit(asked.get(figure.criterion or figure.key))
+        elsewhere = (figure.of_mission and not mission) or (figure.of_plan and mission and not limit)
+        if value is None or measured or whole or elsewhere:
             continue
-        label, limit = figure.label, _limit(asked.get(figure.criterion or figure.key))
+        label = figure.label
         if mission and figure.key == "final_position_error_m":
             label, limit = "last error to its reference", limit or LED_ON
         out.append(Row(label, figure.form.format(value), limit))
