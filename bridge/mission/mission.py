@@ -16,7 +16,7 @@ from bridge.mission.crew.members import Contingencies, Members
 from bridge.mission.load_control import LoadControl
 from bridge.mission.observation import Observation
 from bridge.mission.phase_table import ACTIONS, Entry
-from bridge.mission.phases import LOADED, RULES, Phase
+from bridge.mission.phases import FLYING, LOADED, RULES, Phase
 from bridge.mission.plan import MissionPlan
 from bridge.mission.progress import Figures, Progress
 from bridge.mission.protection.guards import outside_fence
@@ -35,6 +35,7 @@ from cablequad.types import Array
 __all__ = ["Mission", "MissionError", "Script", "Until", "Wait"]
 
 ACCEPTED, TEMPORARILY_REJECTED, UNSUPPORTED = 0, 1, 3  # MAV_RESULT
+SOME_S = 10.0  # beside twice its way, that a phase may take
 HURRY = 1.6  # how much faster everything goes that brings an aborted mission down
 
 Script = Callable[["Mission"], Coroutine[Any, Any, None]]
@@ -49,8 +50,8 @@ class Mission:
         self.plan: MissionPlan = plan
         self.fleet: Fleet = fleet
         self.crew = Members(planned)
-        self.progress, self.figures = Progress(period_s), Figures()
-        self.control = LoadControl(planned.law, self.design, period_s, self.tell)
+        self.progress, self.figures = Progress(period_s, plan.scale), Figures()
+        self.control = LoadControl(planned.law, self.design, period_s, plan.scale.share_s, self.tell)
         self.failure: str | None = None
         self.finished = False
         self.by_itself = False  # the load is set down with every vehicle by itself
@@ -89,8 +90,8 @@ class Mission:
             raise MissionError(
                 f"{phase} to {where}: the load or a vehicle above it would be {outside:.1f} m outside the fence"
             )
-        seconds, limit = leg(self.led, to, self.plan.limits).duration, self.plan.limits_s[phase]
-        if seconds > limit:
+        seconds, limit = leg(self.led, to, self.plan.limits).duration, self.plan.limits_s.get(phase)
+        if limit is not None and seconds > limit:
             raise MissionError(
                 f"{phase} to {where}: it takes {seconds:.0f} s within the limits of [plan], and the phase may take "
                 f"{limit:g} s (mission.limits_s)"
@@ -177,7 +178,7 @@ class Mission:
         if phase is not None and not progress.done and ACTIONS[phase].over(self, self.here):
             progress.done = True
         self._ask_script()
-        if (phase := self.phase) is not None and not progress.done and progress.lasted_s > self.plan.limits_s[phase]:
+        if (phase := self.phase) is not None and not progress.done and progress.lasted_s > self.limit_s(phase):
             self._timed_out(phase)
         if self.finished:
             for k, fate in self.crew.fates():
@@ -211,7 +212,7 @@ class Mission:
         return self.control.fly_vehicles(measured, reference, i, self.goals(), self.now)
 
     def _timed_out(self, phase: Phase) -> None:
-        text = f"phase {phase} took more than {self.plan.limits_s[phase]:g} s"
+        text = f"phase {phase} took more than {self.limit_s(phase):.3g} s"
         if phase is Phase.PREFLIGHT:
             text += ": " + "; ".join(preflight_faults(self.here, self.geometry, self.plan, self.fleet))
         if self._aborted or phase in (Phase.SET_DOWN, Phase.RELEASE, Phase.LAND, Phase.DISARM):
@@ -244,6 +245,17 @@ class Mission:
         """Of a way at `speed` (m/s); an aborted mission hurries."""
         speed *= HURRY if self._aborted else 1.0
         return Limits(speed, max(0.3, speed), 3.0, 0.5)
+
+    def limit_s(self, phase: Phase) -> float:
+        """What a phase may take: what the scenario says; else as long as its way takes twice, and some."""
+        if (stated := self.plan.limits_s.get(phase)) is not None:
+            return stated
+        way_s = 0.0
+        if phase in LOADED and not self.by_itself:
+            way_s = self.control.track.duration
+        elif phase in FLYING:
+            way_s = self.control.singles.duration
+        return max(RULES[phase].limit_s, 2.0 * way_s + SOME_S)
 
     def keep(self, rest: list[int]) -> None:
         """Only some members are left: where they stood among those before."""

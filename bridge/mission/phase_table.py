@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from bridge.mission.crew.cable_geometry import yaw_of
-from bridge.mission.crew.per_vehicle import SHARE_S, clear_of
+from bridge.mission.crew.per_vehicle import clear_of
 from bridge.mission.observation import Observation
 from bridge.mission.phases import LOADED, Phase
-from bridge.mission.progress import NEAR_M, SLOW_M_S
 from bridge.mission.protection.preflight_checks import preflight_faults
 from cablequad.control.trajectory import joined, leg
 from cablequad.types import Array
@@ -22,11 +21,8 @@ if TYPE_CHECKING:
     from bridge.mission.mission import Mission
 
 SPIN_UP_S = 2.0
-CLEAR_M = 0.35  # straight up first, and down last
 STRAIGHT = 0.97  # of a cable's length
-BELOW_M = 0.15  # how far below the ground the load is led when it is set down
-SLOWLY_M = 0.12  # above the ground, from where it is set down slowly
-STANDS_M_S, STANDS_S, PUSHED_M = 0.05, 0.2, 0.05
+STANDS_M_S, STANDS_S = 0.05, 0.2
 
 
 class Entry(NamedTuple):
@@ -60,7 +56,7 @@ def _arm(m: "Mission", _: Entry) -> None:
 
 def _take_off(m: "Mission", _: Entry) -> None:
     x = m.here.x
-    up = [[*p[:2], p[2] - CLEAR_M, 0.0] for p in x.tolist()]
+    up = [[*p[:2], p[2] - m.plan.scale.clear_m, 0.0] for p in x.tolist()]
     slack = m.geometry.above(m.here.state, m.plan.slack)
     limits = m.limits_at(m.plan.take_off_speed)
     m.control.singles.go(
@@ -74,7 +70,7 @@ def _take_off(m: "Mission", _: Entry) -> None:
 
 
 def _taken_off(m: "Mission", i: Observation) -> bool:
-    off = i.x - m.geometry.above(m.here.state, m.plan.slack)
+    off = i.x - m.goals().x
     ready = m.progress.clock.time >= SPIN_UP_S + m.control.singles.duration
     return ready and m.progress.at_rest(float(np.linalg.norm(off, axis=1).max()), i.v)
 
@@ -115,7 +111,7 @@ def _release(m: "Mission", entry: Entry) -> None:
 
 def _released(m: "Mission", i: Observation) -> bool:
     progress = m.progress
-    if progress.lasted_s < SHARE_S:
+    if progress.lasted_s < m.plan.scale.share_s:
         return False
     if not progress.taking:
         progress.taking = True
@@ -148,24 +144,28 @@ def _arrived(m: "Mission", i: Observation) -> bool:
 
 def _set_down(m: "Mission", entry: Entry) -> None:
     start, to = entry.led, entry.to
-    near = [*start[:2], min(start[2], m.plan.rest_z - SLOWLY_M), start[3]]
+    near = [*start[:2], min(start[2], m.plan.rest_z - m.plan.scale.slowly_m), start[3]]
     if to is not None:
         near = [*to[:2], near[2], to[3]]
     m.figures.mark = near[0], near[1]
-    low = [*near[:2], m.plan.rest_z + BELOW_M, near[3]]
+    low = [*near[:2], m.plan.rest_z + m.plan.scale.below_m, near[3]]
     slowly = m.limits_at(m.plan.set_down_speed)
     m.control.track = joined([leg(start, near, m.limits_at(m.plan.lift_speed)), leg(near, low, slowly)])
 
 
 def _stands(m: "Mission", i: Observation) -> bool:
-    """Whether the load has come to stand: led further down than it goes."""
-    z = float(i.state.x0[2])
-    low = abs(z - m.plan.rest_z) < NEAR_M
+    """Whether the load has come to stand: led further down than it goes.
+
+    No model of hanging cables knows the ground: a load that stands seems to move, or to sink into it.
+    """
+    z, scale = float(i.state.x0[2]), m.plan.scale
+    low = z > m.plan.rest_z - scale.near_m
     if low and m.figures.touch_down_m_s is None and z > m.plan.rest_z - 0.02:
         m.figures.touch_down_m_s = abs(float(i.state.v0[2]))
     slow = float(np.linalg.norm(i.state.v0)) < STANDS_M_S
-    pushed = m.by_itself or m.led[2] - z > PUSHED_M
-    return m.progress.lasting(low and slow and pushed, STANDS_S)
+    below = z > m.plan.rest_z + scale.pushed_m
+    pushed = m.by_itself or m.led[2] - z > scale.pushed_m or below
+    return m.progress.lasting(low and pushed and (slow or below), STANDS_S)
 
 
 # -- landing -----------------------------------------------------------------------------------------------------------
@@ -177,7 +177,7 @@ def _land(m: "Mission", _: Entry) -> None:
     limits, down = m.limits_at(m.plan.take_off_speed), m.limits_at(m.plan.set_down_speed)
     ways = []
     for a, b in zip(m.control.singles.aim.tolist(), spots.tolist(), strict=True):
-        over, low = [*b[:2], b[2] - CLEAR_M, 0.0], [*b[:2], b[2] + BELOW_M, 0.0]
+        over, low = [*b[:2], b[2] - m.plan.scale.clear_m, 0.0], [*b[:2], b[2] + m.plan.scale.below_m, 0.0]
         ways.append(joined([leg([*a, 0.0], over, limits), leg(over, low, down)]))
     m.control.singles.go(ways)
 
@@ -185,15 +185,15 @@ def _land(m: "Mission", _: Entry) -> None:
 def _landing_places(m: "Mission") -> Array:
     R0, x0, stands = m.here.state.R0, m.here.state.x0, m.plan.stands[m.members]
     wrecks = [p for k in m.lost if (p := m.fleet.place(k)) is not None]
-    spots = clear_of(wrecks, x0 + stands @ R0.T, x0)
+    spots = clear_of(wrecks, x0 + stands @ R0.T, x0, m.plan.scale)
     spots[:, 2] = m.plan.rest_z + stands[:, 2]
     return spots
 
 
 def _landed(m: "Mission", i: Observation) -> bool:
     if m.progress.touched_at is None:
-        pushed = m.goals().x[:, 2] - i.x[:, 2] > PUSHED_M
-        slow = np.linalg.norm(i.v, axis=1) < SLOW_M_S
+        pushed = m.goals().x[:, 2] - i.x[:, 2] > m.plan.scale.pushed_m
+        slow = np.linalg.norm(i.v, axis=1) < m.plan.scale.slow_m_s
         m.progress.touched_at = m.now if bool((pushed & slow).all()) else None
     return m.fleet.all_landed
 

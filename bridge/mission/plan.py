@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 from bridge.mission.phases import Phase
 from bridge.mission.protection.guards import Guard
+from bridge.mission.scale import USUAL, Scale
 from cablequad.control.trajectory import Limits, Trajectory
 from cablequad.types import Array
 
@@ -24,7 +25,7 @@ class MissionPlan(NamedTuple):
     lift_speed: float  # m/s
     set_down_speed: float
     take_off_speed: float
-    limits_s: Mapping[Phase, float]
+    limits_s: Mapping[Phase, float]  # that the scenario states
     guards: tuple[Guard, ...]
     fence: Array  # (2, 3) m
     battery: float  # 0 .. 1: with less no vehicle is armed
@@ -32,3 +33,4 @@ class MissionPlan(NamedTuple):
     protect: bool  # False: whatever happens, carry on as planned
     airborne: bool  # begins with a load that hangs
     hold_s: float  # how long it hangs still before it is carried
+    scale: Scale = USUAL

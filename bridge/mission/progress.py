@@ -6,16 +6,17 @@ import numpy as np
 
 from bridge.mission.phases import Phase
 from bridge.mission.plan_clock import PlanClock
+from bridge.mission.scale import USUAL, Scale
 from cablequad.types import Array
 
-NEAR_M, SLOW_M_S = 0.12, 0.15  # at rest where it should be
 STILL_S = 0.5
 
 
 class Progress:
     """The phase of a mission and its clocks."""
 
-    def __init__(self, period_s: float) -> None:
+    def __init__(self, period_s: float, scale: Scale = USUAL) -> None:
+        self._scale = scale
         self.phase: Phase | None = None
         self.done = False
         self.now = 0.0  # s of the vehicles' clock
@@ -45,7 +46,7 @@ class Progress:
 
     def at_rest(self, off_m: float, v: Array) -> bool:
         """Whether everything has been near and slow for a while."""
-        far = off_m > NEAR_M or float(np.linalg.norm(v, axis=-1).max()) > SLOW_M_S
+        far = off_m > self._scale.near_m or float(np.linalg.norm(v, axis=-1).max()) > self._scale.slow_m_s
         return self.lasting(not far, STILL_S)
 
     def lasting(self, holds: bool, seconds: float) -> bool:

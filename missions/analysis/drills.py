@@ -7,10 +7,12 @@ below it. Both are then flown as a mission: hang still, carry, set down, land.
 import math
 from typing import Any, NamedTuple
 
+from bridge.mission.scale import USUAL
 from missions.flight.run import Options, Progress, run
 from missions.flight.summary import Summary
 from missions.scenario import loading as scenarios
 from missions.scenario.loading import Flight, ScenarioError
+from missions.scenario.mission_setup import scale_of_flight
 from missions.scenario.tables import CutTable, FailureTable, GroundTable, MissionTable
 
 HOVER_S = 2.0  # when what happens at hover happens, since the release
@@ -18,9 +20,8 @@ TRANSIT_S = 6.0
 EARLY = 0.3  # of the carriage, when the link is cut: all of the cut falls in it
 HOLD_S = 3.0
 LONGEST_S, LONGEST_BARE_S = 50.0, 35.0
-QUICK = {
-    "start": "air", "hold_s": HOLD_S, "lift_speed_m_s": 0.6, "set_down_speed_m_s": 0.25, "take_off_speed_m_s": 0.8,
-}  # fmt: skip
+LIFT, SET_DOWN, TAKE_OFF = 1.5, 5.0 / 3.0, 1.6  # times as fast as usual
+SHIFT_M, SHIFT = 0.1, 0.25  # of a centre of mass: no more than this share of the load's shorter edge
 CLEAR_M = 1.2  # below the lowest place of a scenario without ground
 SOFT_M_S = 0.5  # of a load that is set down in an emergency
 WORSE = 1.05  # a protection must make the harm smaller by at least this factor
@@ -55,11 +56,13 @@ def drills(flight: Flight) -> tuple[Drill, ...]:
 
     cut = (CutTable(vehicle=n, from_s=under_way, to_s=under_way + 2.0),)
     empty = one("low-battery", HOVER_S, remaining=0.15, lasts_s=30.0)
+    shift = min(SHIFT_M, SHIFT * min(flight.scenario.payload.box_m[:2]))
+    shifted = one("payload-shift", HOVER_S, offset_m=[shift, 0.0, 0.0])
     return (
         Drill("rotor out", "a rotor stops while the load hangs still", one("rotor-out", HOVER_S)),
         Drill("vehicle out", "all rotors of a vehicle stop in transit", one("vehicle-out", TRANSIT_S)),
         Drill("cable cut", "a cable comes off the load in transit", one("cable-cut", TRANSIT_S)),
-        Drill("payload shift", "the load's centre of mass shifts by 10 cm", one("payload-shift", HOVER_S)),
+        Drill("payload shift", f"the load's centre of mass shifts by {100 * shift:.3g} cm", shifted),
         Drill("gust", "a gust of 8 m/s over 3 s in transit", one("gust", TRANSIT_S, lasts_s=3.0)),
         Drill("link cut", "nothing passes to or from a vehicle for 2 s", (), cut),
         Drill("GPS loss", "a vehicle does not know where it is for 6 s", one("gps-loss", TRANSIT_S, lasts_s=6.0)),
@@ -73,7 +76,13 @@ def rehearsal(flight: Flight) -> Flight:
     start, target = list(s.initial.position_m), list(s.target.position_m)
     if s.mission is not None and s.mission.start == "ground":
         start[2] -= s.mission.lift_m
-    mission = (s.mission or MissionTable()).model_copy(update=QUICK)
+    scale = scale_of_flight(flight)
+    quick = {
+        "start": "air", "hold_s": HOLD_S, "lift_speed_m_s": round(LIFT * scale.lift_m_s, 6),
+        "set_down_speed_m_s": round(SET_DOWN * scale.set_down_m_s, 6),
+        "take_off_speed_m_s": round(TAKE_OFF * scale.take_off_m_s, 6),
+    }  # fmt: skip
+    mission = (s.mission or MissionTable()).model_copy(update=quick)
     ground = s.ground
     if ground is None:
         places = [start, target, *s.plan.waypoints_m, *([s.plan.centre_m] if s.plan.centre_m else [])]
@@ -109,7 +118,8 @@ def flown(flight: Flight, drill: Drill, protect: bool, options: Options) -> Summ
     name = f"{s.name}-{drill.name.replace(' ', '-').lower()}{'' if protect else '-unprotected'}"
     faults = s.faults.model_copy(update={"cuts": [*s.faults.cuts, *drill.cuts]})
     mission = s.mission.model_copy(update={"protect": protect})
-    seconds = LONGEST_S if protect else LONGEST_BARE_S
+    longer = max(1.0, scale_of_flight(flight).share_s / USUAL.share_s)  # by the period of the cables
+    seconds = longer * (LONGEST_S if protect else LONGEST_BARE_S)
     case = changed(
         flight,
         {"name": name, "failures": list(drill.failures), "faults": faults, "mission": mission, "duration_s": seconds},

@@ -6,6 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
+from bridge.mission.scale import USUAL
 from cablequad.control.design import TILT_DEG
 from cablequad.control.formation import formation
 from cablequad.control.trajectory import Trajectory, at
@@ -18,7 +19,6 @@ from cablequad.model.stiffness import LEAST_STEP_US
 from cablequad.model.system import System
 from cablequad.types import Array
 from missions.scenario.loading import Flight
-from missions.scenario.metrics import HIT_M
 from missions.scenario.surroundings import airborne, standing_places
 from missions.scenario.tables import PlanTable, Scenario
 from sitl.firmware.personas import PERSONAS
@@ -139,8 +139,8 @@ def _apart(flight: Flight) -> Iterator[str]:
 
 
 def _too_near(s: Scenario, x: Array, where: str) -> Iterator[str]:
-    arm = s.vehicle.rotors.arm_m if s.vehicle.rotors is not None else 0.0
-    least = max(HIT_M, 2.0 * arm)
+    rotors = s.vehicle.rotors
+    least = USUAL.hit_m if rotors is None else 2.0 * rotors.arm_m
     pairs = [(float(np.linalg.norm(x[i] - x[k])), i + 1, k + 1) for i, k in combinations(range(len(x)), 2)]
     near = min(pairs)
     if near[0] < least:

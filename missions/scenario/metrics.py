@@ -12,7 +12,7 @@ from cablequad.model.instant import Motion
 SETTLED_M = 0.05
 LAST_S = 10.0  # of the mean
 LIFTED_M, TOUCHES_M = 0.05, 0.003
-LOW_M, HARD_M_S, TOPPLED, HIT_M = 0.05, 1.0, 0.5, 0.25
+LOW_M, HARD_M_S, TOPPLED = 0.05, 1.0, 0.5
 
 
 class Followed(NamedTuple):
@@ -84,6 +84,7 @@ class Standing(NamedTuple):
 
     load_z: float  # m, of the load
     vehicle_z: float  # m, of a vehicle
+    hit_m: float = 0.25  # between two vehicles that hit each other
 
 
 class Grounded(NamedTuple):
@@ -100,7 +101,7 @@ class OnGround:
     """Figures of a load that is lifted and set down, from the truth."""
 
     def __init__(self, ground: Standing) -> None:
-        self._rest_z, self._floor_z = ground.load_z, ground.vehicle_z
+        self._rest_z, self._floor_z, self._hit = ground
         self._crashed: set[int] = set()
         self._lifted, self._before = False, 0.0
         self._touch: float | None = None
@@ -121,7 +122,7 @@ class OnGround:
         self._separation = min(self._separation, float(nearest.min()))
         low = m.x[:, :, 2] > self._floor_z - LOW_M
         hard = (np.linalg.norm(m.v, axis=2) > HARD_M_S) | (m.state.R[:, :, 2, 2] < TOPPLED)
-        self._crashed.update(np.flatnonzero(((low & hard) | (nearest < HIT_M)).any(axis=0)).tolist())
+        self._crashed.update(np.flatnonzero(((low & hard) | (nearest < self._hit)).any(axis=0)).tolist())
         self._last = tuple(m.state.x0[-1].tolist())
 
     def judged(self) -> Grounded:

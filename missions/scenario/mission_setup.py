@@ -7,9 +7,10 @@ import numpy as np
 from bridge.fleet.fleet import Fleet
 from bridge.mission.crew.members import Contingencies
 from bridge.mission.mission import Mission, Script
-from bridge.mission.phases import ORDER, RULES, Phase
+from bridge.mission.phases import ORDER, Phase
 from bridge.mission.plan import MissionPlan
 from bridge.mission.protection.guards import Guard
+from bridge.mission.scale import ARM_M, Scale, scale_of
 from cablequad.control.design import Design, DesignError
 from cablequad.control.estimator import Filter, estimator
 from cablequad.control.trajectory import Trajectory
@@ -52,7 +53,7 @@ def standing(flight: Flight) -> Standing | None:
         return None
     airborne = s.mission is not None and s.mission.start == "air"
     R0 = _hangs(flight) if airborne else flight.initial.R0
-    return Standing(standing_z(s, s.ground, R0), s.ground.z_m - s.vehicle.feet_m[1])
+    return Standing(standing_z(s, s.ground, R0), s.ground.z_m - s.vehicle.feet_m[1], scale_of_flight(flight).hit_m)
 
 
 def felt(mission: Mission) -> Grounded | None:
@@ -98,6 +99,13 @@ def contingencies(flight: Flight, design: Design) -> Contingencies:
     return Contingencies(law, designs, filters)
 
 
+def scale_of_flight(flight: Flight) -> Scale:
+    """What is near, slow or long for what flies."""
+    s, system = flight.scenario, flight.system
+    cables = [float(system.length[i, :k].sum()) for i, k in enumerate(system.n_links.tolist())]
+    return scale_of(sum(cables) / len(cables), s.vehicle.rotors.arm_m if s.vehicle.rotors is not None else ARM_M)
+
+
 def plan_of(flight: Flight) -> MissionPlan:
     """The mission plan of a flight with [mission]."""
     s = flight.scenario
@@ -116,11 +124,13 @@ def plan_of(flight: Flight) -> MissionPlan:
         return scenarios.route(s, start, end)
 
     target = [*s.target.position_m[:2], lifted, math.radians(s.target.yaw_deg)]
-    limits = {phase: m.limits_s.get(phase.value, RULES[phase].limit_s) for phase in Phase}
+    limits = {phase: m.limits_s[phase.value] for phase in Phase if phase.value in m.limits_s}
+    scale = scale_of_flight(flight)
     return MissionPlan(
-        rest, stands, hangs, target, route, scenarios.limits(s), m.lift_m, m.slack, m.pretension, m.lift_speed_m_s,
-        m.set_down_speed_m_s, m.take_off_speed_m_s, limits, guards(flight), fence(flight), m.battery,
-        m.hooks, m.protect, m.start == "air", m.hold_s,
+        rest, stands, hangs, target, route, scenarios.limits(s), m.lift_m, m.slack, m.pretension,
+        m.lift_speed_m_s or scale.lift_m_s, m.set_down_speed_m_s or scale.set_down_m_s,
+        m.take_off_speed_m_s or scale.take_off_m_s, limits, guards(flight), fence(flight), m.battery,
+        m.hooks, m.protect, m.start == "air", m.hold_s, scale,
     )  # fmt: skip
 
 
@@ -141,18 +151,19 @@ def guards(flight: Flight) -> tuple[Guard, ...]:
     """The guards of a mission, each with what is done where it is broken."""
     m = flight.scenario.mission
     assert m is not None
-    g = m.guards
+    g, scale = m.guards, scale_of_flight(flight)
+    separation = scale.separation_m if g.separation_m is None else g.separation_m
     weight = flight.system.m * flight.system.g
     tension = g.tension_N if g.tension_N is not None else PULL * float((flight.airframe.max_thrust - weight).min())
     return (
         Guard("tension_N", tension, "set-down", 0.2),
-        Guard("separation_m", g.separation_m, "set-down", 0.1),
+        Guard("separation_m", separation, "set-down", 0.1),
         Guard("tilt_deg", g.tilt_deg, "pause", 0.3),
         Guard("load_tilt_deg", g.load_tilt_deg, "set-down", 1.0),
         Guard("outside_fence_m", g.outside_fence_m, "set-down", 0.2),
         Guard("thrust_reserve", g.thrust_reserve, "pause", 0.3),
         Guard("state_age_s", g.state_age_s, "pause", 0.0),
-        Guard("off_plan_m", g.off_plan_m, "pause", 0.1),
+        Guard("off_plan_m", g.off_plan_m or scale.off_plan_m, "pause", 0.1),
         Guard("battery", g.battery, "set-down", 1.0),
     )
 

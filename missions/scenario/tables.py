@@ -343,13 +343,13 @@ class GuardTable(_Table):
     """[mission.guards]: a limit each; what is done beyond it, and after how long, is in docs/missions.md"""
 
     tension_N: Positive | None = None  # left out: 0.9 of what a vehicle can pull
-    separation_m: NotNegative = 0.3
+    separation_m: NotNegative | None = None  # left out, this and off_plan_m: by the size of what flies
     tilt_deg: Positive = 45.0
     load_tilt_deg: Positive = 30.0
     outside_fence_m: NotNegative = 0.0
     thrust_reserve: Share = 0.05
     state_age_s: Positive = 0.8
-    off_plan_m: Positive = 0.5
+    off_plan_m: Positive | None = None
     battery: Share = 0.2
 
 
@@ -361,9 +361,9 @@ class MissionTable(_Table):
     hold_s: NotNegative = 1.0  # still, before the load is carried
     slack: Annotated[float, BeforeValidator(_number), Field(gt=0.3, lt=0.95)] = 0.85
     pretension: Share = 0.7
-    lift_speed_m_s: Positive = 0.4
-    set_down_speed_m_s: Positive = 0.15
-    take_off_speed_m_s: Positive = 0.5
+    lift_speed_m_s: Positive | None = None  # left out, this and the next two: by the length of the cables
+    set_down_speed_m_s: Positive | None = None
+    take_off_speed_m_s: Positive | None = None
     hooks: bool = True  # vehicles can let go of their cables (MAV_CMD_DO_GRIPPER)
     protect: bool = True  # guards act, losses are answered
     battery: Share = 0.3  # with less no vehicle is armed

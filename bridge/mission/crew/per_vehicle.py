@@ -2,24 +2,23 @@
 
 import numpy as np
 
+from bridge.mission.scale import USUAL, Scale
 from cablequad.control.design import Design
 from cablequad.control.single_vehicle import Flown, Goals, fly_each, integrated
 from cablequad.control.trajectory import Limits, Trajectory, at, leg
 from cablequad.types import Array
 
-SHARE_S = 1.5  # for what hangs on a vehicle to be taken or given
-CLEAR_OF_WRECK_M, CLEAR_OF_OTHERS_M = 0.7, 0.5
 AROUND = np.radians([0.0, 10.0, -10.0, 20.0, -20.0, 30.0, -30.0, 40.0, -40.0, 50.0, -50.0])
 FURTHER = (1.0, 1.15, 1.3)  # as far from the load
 
 
-def clear_of(wrecks: list[Array], spots: Array, middle: Array) -> Array:
+def clear_of(wrecks: list[Array], spots: Array, middle: Array, scale: Scale = USUAL) -> Array:
     """Where to land, (n, 3) m, near `spots` about `middle` (3,) m, with no wreck (3,) m and nobody else too near.
 
     A spot moves around the load, and a little outwards; where nothing is clear, to what is clearest of the wrecks.
     """
     out = spots.copy()
-    near = [i for i, spot in enumerate(spots) if _room(wrecks, spot) < CLEAR_OF_WRECK_M]
+    near = [i for i, spot in enumerate(spots) if _room(wrecks, spot) < scale.off_wreck_m]
     for i in near:
         others = [out[k] for k in range(len(out)) if k != i]
         arm = spots[i] - middle
@@ -29,9 +28,9 @@ def clear_of(wrecks: list[Array], spots: Array, middle: Array) -> Array:
                 c, s = np.cos(turn), np.sin(turn)
                 spot = middle + further * np.array([c * arm[0] - s * arm[1], s * arm[0] + c * arm[1], 0.0])
                 spot[2] = spots[i, 2]
-                if _room(others, spot) >= CLEAR_OF_OTHERS_M:
+                if _room(others, spot) >= scale.off_others_m:
                     tried.append(spot)
-        clear = [spot for spot in tried if _room(wrecks, spot) >= CLEAR_OF_WRECK_M]
+        clear = [spot for spot in tried if _room(wrecks, spot) >= scale.off_wreck_m]
         if clear:
             out[i] = min(clear, key=lambda spot: float(np.linalg.norm(spot - spots[i])))
         elif tried:
@@ -47,7 +46,9 @@ def _room(things: list[Array], spot: Array) -> float:
 class SingleVehicles:
     """The routes, integrals and shares of n vehicles."""
 
-    def __init__(self, n: int, period_s: float) -> None:
+    def __init__(self, n: int, period_s: float, share_s: float) -> None:
+        """`share_s`: for what hangs on a vehicle to be taken or given."""
+        self._share_s = share_s
         self.aim = np.zeros((n, 3))  # m: where they were to be last
         self._period = period_s
         self._routes: list[Trajectory] = []
@@ -62,7 +63,7 @@ class SingleVehicles:
     @property
     def duration(self) -> float:
         """s until the last has come to the end of its way."""
-        return max(route.duration for route in self._routes)
+        return max((route.duration for route in self._routes), default=0.0)
 
     def go(self, routes: list[Trajectory]) -> None:
         """Along these."""
@@ -82,12 +83,12 @@ class SingleVehicles:
 
     def hung(self, now: float) -> Array:
         """(n,) N: what hangs on them."""
-        share = min(1.0, max(0.0, (now - self._since) / SHARE_S))
+        share = min(1.0, max(0.0, (now - self._since) / self._share_s))
         return self._before + share * (self._after - self._before)
 
     def handed_over(self, now: float) -> bool:
         """Whether everything has been taken or given."""
-        return now - self._since >= SHARE_S
+        return now - self._since >= self._share_s
 
     def goals(self, x: Array, now: float, tau: float, rate: float, power: float) -> Goals:
         """Where each is to be at `tau` s of its way, whose clock runs at `rate`; below full `power` it stands at x."""

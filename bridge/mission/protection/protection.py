@@ -7,7 +7,6 @@ import numpy as np
 
 from bridge.mission.crew.fleet_subset import static_shares
 from bridge.mission.observation import Observation
-from bridge.mission.phase_table import BELOW_M
 from bridge.mission.phases import FLYING, LOADED, ON_PLAN, SLACK, Phase
 from bridge.mission.protection.fault_detection import FaultDetector, FaultInputs, Loss
 from bridge.mission.protection.guards import Guard, GuardInputs, GuardMonitor, guard_values, separation
@@ -110,7 +109,7 @@ def lose(m: "Mission", loss: Loss) -> None:
 def _sink(m: "Mission") -> None:
     """Every vehicle by itself comes down until the load stands."""
     m.by_itself = True
-    depth = max(0.0, m.plan.rest_z + BELOW_M - float(m.here.state.x0[2]))
+    depth = max(0.0, m.plan.rest_z + m.plan.scale.below_m - float(m.here.state.x0[2]))
     m.control.singles.go([sink([*x, 0.0], depth, EMERGENCY_M_S) for x in m.here.x.tolist()])
     m.progress.clock.time = 0.0
     hung = static_shares(m.design.system, m.here.state.R0)
