@@ -44,7 +44,7 @@ class Server:
         self.settings = s = settings
         firmware = s.firmware or ("px4",) * self.n
         onboard = places(firmware, s.port_offset, s.host)
-        trackers = () if s.loose else tracker_endpoints(s.port_offset, s.host)
+        trackers = () if s.untethered else tracker_endpoints(s.port_offset, s.host)
         signer = Signer(s.signing_key, s.accept_unsigned_telemetry) if s.signing_key is not None else None
         self.link = Link([*(place.endpoint for place in onboard), *trackers], signer, network)
         self.link.reliable = s.lockstep and s.await_controller and network is None
@@ -52,13 +52,15 @@ class Server:
         self._tracker_port = len(onboard)
         ports = (self._tracker_port, self._tracker_port + 1)
         self._tracker = tracker.Tracker(self.link, ports, s.system.n_links, s.control_us)
-        self.plant = UntetheredPlant(s.system, s.airframe, s.initial, s.physics_us * 1e-6) if s.loose else plant_of(s)
+        self.plant = (
+            UntetheredPlant(s.system, s.airframe, s.initial, s.physics_us * 1e-6) if s.untethered else plant_of(s)
+        )
         self._sensors = sensors_of(s)
         self.vehicles = [self._vehicle(i, firmware[i]) for i in range(self.n)]
         self._sink = sink
         self._condition = Condition(s, lambda event: self._sink(event))
         self._release = Release(lambda event: self._sink(event), self.links.released)
-        self._answers = TickAnswers(self.n, s.lockstep, s.await_controller, s.loose)
+        self._answers = TickAnswers(self.n, s.lockstep, s.await_controller, s.untethered)
         self._pace = Pace(s.speed, s.tick_us)
         self._tick = 0
         self._coming: tuple[Truth | None, list[Snapshot]] = (None, [])  # of the coming tick

@@ -49,7 +49,7 @@ class Settings(NamedTuple):
     parameters: tuple[dict[str, float], ...] = ()  # set before boot, for each vehicle
     density_ratio: float = 1.0  # of the air to that at sea level; ArduCopter makes up for it
     ready_us: tuple[int | None, ...] = ()  # when each estimator has a position; None: as the firmware takes
-    loose: bool = False  # the vehicles alone on the ground: no load, no cables, no tracker
+    untethered: bool = False  # the vehicles alone on the ground: no load, no cables, no tracker
     faults: tuple[Faults, ...] = ()  # of what each vehicle receives
     faults_down: tuple[Faults, ...] = ()  # of what each vehicle sends, for clients that have no faults of their own
     seed: int = 0
@@ -102,8 +102,8 @@ def unread_frames(counters: Counters) -> dict[str, int]:
     return unread | {verdict.value: count for verdict, count in counters.refused.items()}
 
 
-Told = Truth | Event | AirMotion  # what a server says to the recorder
-Sink = Callable[[Told], None]
+ServerOutput = Truth | Event | AirMotion  # what a server says to the recorder
+Sink = Callable[[ServerOutput], None]
 
 
 def own_generator(seed: int, what: str) -> np.random.Generator:

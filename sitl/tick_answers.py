@@ -4,20 +4,20 @@
 class TickAnswers:
     """Which vehicles' setpoints a tick waits for, and which have come."""
 
-    def __init__(self, n: int, lockstep: bool, await_controller: bool, loose: bool) -> None:
+    def __init__(self, n: int, lockstep: bool, await_controller: bool, untethered: bool) -> None:
         """`await_controller`: from the first tick on, not only once a controller has answered.
 
-        `loose`: without a load nobody answers a tick as a whole.
+        `untethered`: without a load nobody answers a tick as a whole.
         """
         waits = lockstep and await_controller
         self.controller_ports = list(range(n))  # on which the controller speaks to each vehicle
         self.missed = 0
-        self._lockstep, self._loose = lockstep, loose
+        self._lockstep, self._untethered = lockstep, untethered
         self._engaged = [waits] * n
         self._answered_ms = [-1] * n
         self._expected = [False] * n  # of the coming tick: whose state goes to the controller
         self._awaited = [False] * n  # of this one
-        self._awaits_controller = waits and not loose
+        self._awaits_controller = waits and not untethered
         self._seen_us = -1
 
     @property
@@ -39,7 +39,7 @@ class TickAnswers:
         self.controller_ports[i] = port
         if self._lockstep and boot_ms * 1000 == now_us:
             self._engaged[i] = True
-            self._awaits_controller = not self._loose
+            self._awaits_controller = not self._untethered
 
     def dealt_with(self, now_us: int) -> None:
         """The controller has seen this tick and has nothing more to say to it."""

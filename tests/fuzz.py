@@ -124,7 +124,7 @@ def a_server(offset: int, key: bytes | None) -> Server:
     flight = scenarios.load("mixed-fleet")
     ready = flight.scenario.vehicle.model_copy(update={"estimator_ready_s": 0.0})
     flight = flight._replace(scenario=flight.scenario.model_copy(update={"vehicle": ready}))
-    serving = Serving(lockstep=False, port_offset=offset, loose=True, signing_key=key)
+    serving = Serving(lockstep=False, port_offset=offset, untethered=True, signing_key=key)
     return Server(settings(flight, serving), lambda _: None)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from conftest import Command, cablequad, flown, next_offset
 
-from bridge.mission.crew.per_vehicle import clear_of
+from bridge.mission.members.per_vehicle import clear_of
 from bridge.mission.phases import ORDER, RULES, Phase
 from bridge.mission.plan_clock import PlanClock
 from bridge.mission.protection.guards import Guard, GuardMonitor, separation

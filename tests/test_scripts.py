@@ -13,7 +13,7 @@ from conftest import Command, flown, next_offset
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bridge.mission.crew.members import Contingencies
+from bridge.mission.members.members import Contingencies
 from bridge.mission.mission import Mission
 from bridge.mission.observation import Observation
 from bridge.mission.phases import FLYING, LOADED, Phase
@@ -72,9 +72,9 @@ class Kinematics:
     def decide(self) -> None:
         still = np.zeros_like(self.x)
         n = len(self.x)
-        sight = Observation(self.state, np.ones(n), 0.0, self.x, still, np.zeros(n))
+        observation = Observation(self.state, np.ones(n), 0.0, self.x, still, np.zeros(n))
         m = self.mission
-        m.answer(self.now, self.now, sight)
+        m.answer(self.now, self.now, observation)
         self.now += self.period
         x0 = self.state.x0.copy()
         if m.phase in LOADED:

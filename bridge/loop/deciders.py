@@ -7,7 +7,7 @@ import numpy as np
 
 from bridge.fleet.fleet import Fleet
 from bridge.loop.state_assembly import Instant, LoopModel, StateAssembler
-from bridge.mission.crew.fleet_subset import expanded
+from bridge.mission.members.fleet_subset import expanded
 from bridge.mission.mission import UNSUPPORTED, Mission
 from bridge.mission.observation import Observation
 from bridge.mission.phases import FLY, LOADED, PREPARE

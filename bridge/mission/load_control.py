@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from bridge.mission.crew.per_vehicle import SingleVehicles
+from bridge.mission.members.per_vehicle import SingleVehicles
 from bridge.mission.observation import Observation
 from bridge.mission.plan_clock import PlanClock
 from cablequad.control.control_step import Measurement, Sample

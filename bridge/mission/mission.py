@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from bridge.fleet.fleet import Fleet
-from bridge.mission.crew.cable_geometry import CableGeometry, yaw_of
-from bridge.mission.crew.members import Contingencies, Members
 from bridge.mission.load_control import LoadControl
+from bridge.mission.members.cable_geometry import CableGeometry, yaw_of
+from bridge.mission.members.members import Contingencies, Members
 from bridge.mission.observation import Observation
 from bridge.mission.phase_table import ACTIONS, Entry
 from bridge.mission.phases import FLYING, LOADED, RULES, Phase
@@ -49,7 +49,7 @@ class Mission:
     ) -> None:
         self.plan: MissionPlan = plan
         self.fleet: Fleet = fleet
-        self.crew = Members(planned)
+        self.membership = Members(planned)
         self.progress, self.figures = Progress(period_s, plan.scale), Figures()
         self.control = LoadControl(planned.law, self.design, period_s, plan.scale.share_s, self.tell)
         self.failure: str | None = None
@@ -181,7 +181,7 @@ class Mission:
         if (phase := self.phase) is not None and not progress.done and progress.lasted_s > self.limit_s(phase):
             self._timed_out(phase)
         if self.finished:
-            for k, fate in self.crew.fates():
+            for k, fate in self.membership.fates():
                 self.tell("fate", f"vehicle {k + 1}", f"vehicle {k + 1}: {fate}")
         return self._fly(t, self.here)
 
@@ -295,27 +295,27 @@ class Mission:
     @property
     def members(self) -> list[int]:
         """Who is not lost, from 0."""
-        return self.crew.left
+        return self.membership.left
 
     @property
     def lost(self) -> dict[int, str]:
         """Why, by the vehicle."""
-        return self.crew.lost
+        return self.membership.lost
 
     @property
     def design(self) -> Design:
         """For those that are not lost."""
-        return self.crew.design
+        return self.membership.design
 
     @property
     def filters(self) -> dict[frozenset[int], Filter]:
         """By the vehicles that are lost."""
-        return self.crew.filters
+        return self.membership.filters
 
     @property
     def geometry(self) -> CableGeometry:
         """The cables of those that are not lost."""
-        return self.crew.geometry
+        return self.membership.geometry
 
     @property
     def hanging(self) -> bool:

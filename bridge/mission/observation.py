@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from bridge.mission.crew.fleet_subset import state_of
+from bridge.mission.members.fleet_subset import state_of
 from cablequad.control.design import Design
 from cablequad.model.state import State
 from cablequad.types import Array

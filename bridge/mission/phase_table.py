@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from bridge.mission.crew.cable_geometry import yaw_of
-from bridge.mission.crew.per_vehicle import clear_of
+from bridge.mission.members.cable_geometry import yaw_of
+from bridge.mission.members.per_vehicle import clear_of
 from bridge.mission.observation import Observation
 from bridge.mission.phases import LOADED, Phase
 from bridge.mission.protection.preflight_checks import preflight_faults

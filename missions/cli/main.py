@@ -219,7 +219,7 @@ def sitl(
         key = None if signing_key is None else read_key(signing_key)
         serving = Serving(
             lockstep=math.isinf(pace) and who == "builtin", speed=pace, port_offset=port_offset, host=host,
-            loose=not with_load,
+            untethered=not with_load,
             signing_key=key, accept_unsigned_telemetry=accept_unsigned, faults_at_sender=faults, backend=who,
         )  # fmt: skip
         serve(flight, serving, launch)

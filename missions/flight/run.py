@@ -24,14 +24,14 @@ from missions.flight.options import Options, Progress
 from missions.flight.processes.launch import Launch, launches, started_with
 from missions.flight.processes.participants import Participants, interpreter_restored, places
 from missions.flight.processes.simulate import few_collections
-from missions.flight.recording.header import opening
+from missions.flight.recording.header import header_of
 from missions.flight.recording.log_process import Recording
 from missions.flight.setup import FlightSetup, set_up
 from missions.flight.summary import Asked, Known, Summary, Track, summarize
 from missions.flight.warm_up import predict_once, warm_up
 from missions.scenario import loading as scenarios
 from missions.scenario.loading import Flight
-from missions.scenario.mission_setup import felt
+from missions.scenario.mission_setup import reported_figures
 from sitl.external.seats import BOOT_S
 from sitl.settings import HOST
 
@@ -128,7 +128,7 @@ def _prepare(flight: Flight, options: Options, p: Participants, progress: Progre
     """What flies, and its log, while the others are on their way; before the vehicles' clock runs nothing compiles."""
     design = scenarios.design(flight)
     who = "connected" if options.connect else options.backend
-    beginning = opening(flight, design, options.out, p.lockstep, bool(options.connect), who)
+    beginning = header_of(flight, design, options.out, p.lockstep, bool(options.connect), who)
     p.log.open(beginning)
     if options.live:
         p.show(beginning.path)
@@ -165,7 +165,7 @@ def _summarized(
     lost = sum(link.counters.lost_from.get(place, 0) for place in timing.places)
     grounded, mark = judged.grounded, None
     if mission is not None:
-        grounded, mark = grounded or felt(mission), mission.figures.mark
+        grounded, mark = grounded or reported_figures(mission), mission.figures.mark
     cut_short = mission is None and flight.trajectory.duration > flight.scenario.duration_s
     summary = summarize(
         Asked(flight.scenario.name, flight.scenario.acceptance, flight.script is not None, cut_short),

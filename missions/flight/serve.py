@@ -17,7 +17,7 @@ from missions.scenario.loading import Flight
 from sitl.addresses import places, tracker_endpoints
 from sitl.external.ardupilot import ARDUPILOT_PORT
 from sitl.external.px4 import PX4_PORT
-from sitl.settings import Event, Report, Told
+from sitl.settings import Event, Report, ServerOutput
 
 FOLDER = Path("autopilots")  # where they work
 
@@ -35,7 +35,7 @@ def serve(flight: Flight, serving: Serving, launch: Path | None = None) -> None:
     def stop(_: int, __: FrameType | None) -> None:
         stopped.set()
 
-    def sink(message: Told) -> None:
+    def sink(message: ServerOutput) -> None:
         if isinstance(message, Event):
             console.print(f"t = {message.boot_us * 1e-6:8.2f} s  {message.kind}: {message.text}")
 
@@ -97,7 +97,7 @@ def _tell_report(console: Console, report: Report) -> None:
 def _addresses(flight: Flight, serving: Serving) -> Table:
     offset, host = serving.port_offset, serving.host
     n = len(flight.firmware)
-    what = "vehicles on the ground, no load" if serving.loose else "vehicles and a payload tracker"
+    what = "vehicles on the ground, no load" if serving.untethered else "vehicles and a payload tracker"
     table = Table(title=f"{flight.scenario.name}: {n} {what}", title_justify="left")
     for column in ("system", "component", "firmware", "link", "sends to", "listens on"):
         table.add_column(column)
@@ -107,7 +107,7 @@ def _addresses(flight: Flight, serving: Serving) -> Table:
         kind = "tcp" if place.endpoint.stream else "udp"
         to = _url(place.endpoint.peer) if place.endpoint.peer else "whoever speaks"
         table.add_row(who, "1", firmware, f"{place.kind.name.lower()}, {kind}", to, _url(place.endpoint.bind))
-    if not serving.loose:
+    if not serving.untethered:
         for end in tracker_endpoints(offset, host):
             table.add_row("200 (payload)", "191", "", "tracker, udp", _url(end.peer), _url(end.bind))
     return table

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from bridge.fleet.fleet import Fleet
-from bridge.mission.crew.members import Contingencies
+from bridge.mission.members.members import Contingencies
 from bridge.mission.mission import Mission, Script
 from bridge.mission.phases import ORDER, Phase
 from bridge.mission.plan import MissionPlan
@@ -56,7 +56,7 @@ def standing(flight: Flight) -> Standing | None:
     return Standing(standing_z(s, s.ground, R0), s.ground.z_m - s.vehicle.feet_m[1], scale_of_flight(flight).hit_m)
 
 
-def felt(mission: Mission) -> Grounded | None:
+def reported_figures(mission: Mission) -> Grounded | None:
     """A mission's figures as its vehicles and the tracker told them, where no simulator knows better."""
     where = mission.load_m
     if where is None:

@@ -86,17 +86,17 @@ class Seats:
         """
         begun = time.monotonic()
         nudged, said = begun, False
-        self._hear([seat for seat in self._left(self._seats) if not seat.engaged], now_us)
+        self._each([seat for seat in self._left(self._seats) if not seat.engaged], now_us, _hear)
         missing = [seat for seat in self._left(self._seats) if not seat.settled]
         while missing and not stop():
             # who was told last answers last, mostly: being woken for every answer would cost more than the step
             _listen(BURST_S, missing[-1:])
-            self._hear(missing, now_us)
+            self._each(missing, now_us, _hear)
             missing = [seat for seat in self._left(missing) if not seat.settled]
             now = time.monotonic()
             if missing and now - nudged > PROBE_S:
                 nudged = now
-                self._nudge(missing, now_us)
+                self._each(missing, now_us, _nudge)
             if missing and not said and now - begun > STALL_SAID_S:
                 said = True
                 for seat in missing:
@@ -133,17 +133,11 @@ class Seats:
     def _left(self, seats: list[Seat]) -> list[Seat]:
         return [seat for seat in seats if self._seats.index(seat) not in self._gone] if self._gone else seats
 
-    def _nudge(self, seats: list[Seat], now_us: int) -> None:
+    def _each(self, seats: list[Seat], now_us: int, act: Callable[[Seat], None]) -> None:
+        """Do something with each; who cannot go on is left out."""
         for seat in seats:
             try:
-                seat.nudge()
-            except SeatError as error:
-                self._lose(seat, str(error), now_us)
-
-    def _hear(self, seats: list[Seat], now_us: int) -> None:
-        for seat in seats:
-            try:
-                seat.hear()
+                act(seat)
             except SeatError as error:
                 self._lose(seat, str(error), now_us)
 
@@ -159,3 +153,11 @@ class Seats:
 
 def _listen(seconds: float, seats: list[Seat]) -> None:
     select.select([number for seat in seats for number in seat.sockets()], (), (), seconds)
+
+
+def _hear(seat: Seat) -> None:
+    seat.hear()
+
+
+def _nudge(seat: Seat) -> None:
+    seat.nudge()

@@ -3,7 +3,7 @@
 import numpy as np
 
 from bridge.fleet.fleet import Fleet
-from bridge.mission.crew.cable_geometry import CableGeometry
+from bridge.mission.members.cable_geometry import CableGeometry
 from bridge.mission.observation import Observation
 from bridge.mission.plan import MissionPlan
 

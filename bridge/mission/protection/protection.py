@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bridge.mission.crew.fleet_subset import static_shares
+from bridge.mission.members.fleet_subset import static_shares
 from bridge.mission.observation import Observation
 from bridge.mission.phases import FLYING, LOADED, ON_PLAN, SLACK, Phase
 from bridge.mission.protection.fault_detection import FaultDetector, FaultInputs, Loss
@@ -84,7 +84,7 @@ def lose(m: "Mission", loss: Loss) -> None:
     m.tell("lost", f"vehicle {k + 1}", loss.why)
     end = "it was told to land" if loss.sound else "its motors were told to stop"
     m.fleet.lose(k, m.plan.hooks, stop=not loss.sound)
-    rest = m.crew.lose(k, loss.why, f"lost in phase {m.phase}: {loss.why}; {end}")
+    rest = m.membership.lose(k, loss.why, f"lost in phase {m.phase}: {loss.why}; {end}")
     if not rest:
         m.failure, m.finished = f"vehicle {k + 1}: {loss.why}; nobody is left", True
         return

@@ -16,7 +16,7 @@ from missions.flight.recording.log_process import LogHeader, encode_once, record
 from missions.flight.recording.merge import Judged, Merge
 from sitl.plant import PhysicsError
 from sitl.server import Server
-from sitl.settings import Report, Settings, Told
+from sitl.settings import Report, ServerOutput, Settings
 
 TOGETHER = 64  # decisions that are encoded at once, which costs less for each
 FLUSH_DECISIONS = 4096  # between two times that what is written is handed to the disk
@@ -49,22 +49,22 @@ class InProcessLog:
         self.error: str | None = None
         self._recorder: Recorder | None = None
         self._merge: Merge | None = None
-        self._opening: LogHeader | None = None
+        self._header: LogHeader | None = None
         self._batch: list[tuple] = []
         self._decisions = self._unflushed = 0
         self._shapes_told = self._closed = False
 
-    def open(self, opening: LogHeader) -> None:
+    def open(self, header: LogHeader) -> None:
         """Say what is recorded, and where."""
-        self._opening = opening
+        self._header = header
 
     def wait_ready(self) -> None:
         """Open the log. Raises RecorderError if it cannot be."""
-        opening = self._opening
-        assert opening is not None
-        self._recorder = recorder_of(opening)
-        encode_once(opening.model)
-        self._merge = Merge(self._recorder, opening.model, self.truth_end, opening.target_m, opening.standing)
+        header = self._header
+        assert header is not None
+        self._recorder = recorder_of(header)
+        encode_once(header.model)
+        self._merge = Merge(self._recorder, header.model, self.truth_end, header.target_m, header.standing)
 
     def received(self, boot_us: int, frames: Sequence[Received]) -> None:
         """Frames that came in."""
@@ -180,5 +180,5 @@ class InProcessSimulator:
         self.report = self._server.report()
         self._server.close()
 
-    def _sink(self, message: Told) -> None:
+    def _sink(self, message: ServerOutput) -> None:
         put(self._truth, [message])

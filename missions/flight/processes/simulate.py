@@ -1,4 +1,4 @@
-"""The simulator as a process of its own: vehicles on their ports, truth into a one-way channel to the scribe."""
+"""The simulator as a process of its own: vehicles on their ports, truth into a one-way channel to the log process."""
 
 import contextlib
 import gc
@@ -31,9 +31,9 @@ from sitl.firmware.personas import PERSONAS
 from sitl.instruments import Grades
 from sitl.plant import PhysicsError
 from sitl.server import Server
-from sitl.settings import HOST, Event, Report, Settings, Sink, Told
+from sitl.settings import HOST, Event, Report, ServerOutput, Settings, Sink
 
-TOLD_TOGETHER = 16  # ticks of truth in one write: a wake-up of the scribe costs more than what it is told
+TOLD_TOGETHER = 16  # ticks of truth in one write: a wake-up of the log process costs more than what it is told
 LOOK_UP = 32  # questions whether to stop, for each look at whether the parent lives
 
 Backend = Literal["builtin", "ardupilot", "px4", "mixed"]
@@ -50,7 +50,7 @@ class Serving(NamedTuple):
     speed: float = 1.0
     port_offset: int = 0
     host: str = HOST
-    loose: bool = False
+    untethered: bool = False
     signing_key: bytes | None = None
     accept_unsigned_telemetry: bool = False
     faults_at_sender: bool = False
@@ -87,7 +87,7 @@ def settings(flight: Flight, serving: Serving) -> Settings:
         parameters=tuple(scenarios.parameters_of(s, i) for i in range(len(s.vehicles))),
         density_ratio=s.vehicle.air_density_ratio,
         ready_us=tuple(None if t is None else round(t * 1e6) for t in ready),
-        loose=serving.loose,
+        untethered=serving.untethered,
         faults=flight.faults_up,
         faults_down=flight.faults_down[:-1] if serving.faults_at_sender else (),
         seed=s.seed,
@@ -200,9 +200,9 @@ def _child(values: Settings, status: Connection, truth: Connection) -> None:
     signal.signal(signal.SIGTERM, lambda *_: stopped.set())
     parent = os.getppid()
 
-    waiting: list[Told] = []
+    waiting: list[ServerOutput] = []
 
-    def sink(message: Told) -> None:
+    def sink(message: ServerOutput) -> None:
         waiting.append(message)
         if len(waiting) >= TOLD_TOGETHER or isinstance(message, Event):
             put(truth, waiting)

@@ -19,7 +19,7 @@ from missions.scenario.loading import Flight
 from missions.scenario.mission_setup import guards, standing
 
 
-def opening(flight: Flight, design: Design, out: Path, lockstep: bool, connected: bool, vehicles: str) -> LogHeader:
+def header_of(flight: Flight, design: Design, out: Path, lockstep: bool, connected: bool, vehicles: str) -> LogHeader:
     """What a recording of the flight begins with, in a new file in `out`. Raises RecorderError."""
     s = flight.scenario
     try:

@@ -1,4 +1,4 @@
-"""Truth, events and decisions as bytes, for the one-way pipes to the scribe."""
+"""Truth, events and decisions as bytes, for the one-way pipes to the log process."""
 
 import pickle
 import struct
@@ -13,7 +13,7 @@ from cablequad.model.instant import Motion, Shapes, motion_of, motion_shapes, sp
 from cablequad.model.state import Error, State
 from cablequad.types import Array
 from sitl.plant import AirMotion, Truth
-from sitl.settings import Event, Report, Told
+from sitl.settings import Event, Report, ServerOutput
 
 
 class Sender(Protocol):
@@ -47,7 +47,7 @@ class PlantState(NamedTuple):
     values: bytes
 
 
-def put(channel: Sender, messages: Sequence[Told]) -> None:
+def put(channel: Sender, messages: Sequence[ServerOutput]) -> None:
     """Write what was said, in its order."""
     parts: list[Event | AirMotion | tuple[int, bool, bytes]] = []
     for m in messages:

@@ -63,7 +63,7 @@ class Recording(Protocol):
 
     error: str | None
 
-    def open(self, opening: LogHeader) -> None:
+    def open(self, header: LogHeader) -> None:
         """Say what is recorded, and where."""
 
     def wait_ready(self) -> None:
@@ -123,11 +123,11 @@ class LogProcess:
         for end in (down, up, truth):
             end.close()
 
-    def open(self, opening: LogHeader) -> None:
+    def open(self, header: LogHeader) -> None:
         """Say what is recorded, and where."""
-        self._path = opening.path
+        self._path = header.path
         with contextlib.suppress(OSError):  # it ended by itself: `wait_ready` says so
-            self._down.send_bytes(pickle.dumps(opening, 5))
+            self._down.send_bytes(pickle.dumps(header, 5))
 
     def wait_ready(self) -> None:
         """Until the log is open. Raises RecorderError if it cannot be."""
@@ -230,11 +230,11 @@ class LogProcess:
         return f"the recording has stood still for {STALL_S:g} s"
 
 
-def recorder_of(opening: LogHeader) -> Recorder:
+def recorder_of(header: LogHeader) -> Recorder:
     """What writes the log that begins so. Raises RecorderError."""
     names = {number: kind.msgname for number, kind in mavlink.mavlink_map.items()}
     return Recorder(
-        opening.path, opening.model, opening.metadata, opening.attachments, opening.epoch_ns, opening.with_truth, names
+        header.path, header.model, header.metadata, header.attachments, header.epoch_ns, header.with_truth, names
     )
 
 
@@ -254,19 +254,19 @@ def _child(down: Connection, up: Connection, truth: Connection) -> None:
     with contextlib.suppress(OSError):
         os.nice(10)  # the flight goes first
     try:
-        opening: LogHeader = pickle.loads(down.recv_bytes())
+        header: LogHeader = pickle.loads(down.recv_bytes())
     except (EOFError, OSError):
         return
     try:
-        recorder = recorder_of(opening)
+        recorder = recorder_of(header)
     except RecorderError as error:
         up.send(str(error))
         return
-    encode_once(opening.model)
+    encode_once(header.model)
     up.send("ready")
-    merge = Merge(recorder, opening.model, truth, opening.target_m, opening.standing)
+    merge = Merge(recorder, header.model, truth, header.target_m, header.standing)
     writing = _Writing(recorder, merge, down, up)
-    if opening.in_gaps:
+    if header.in_gaps:
         in_gaps(writing)
     else:
         writing.run()

@@ -1,4 +1,4 @@
-"""What the scribe is told, put into the recorder: decisions and frames in their order, truth in its place.
+"""What the log process is told, put into the recorder: decisions and frames in their order, truth in its place.
 
 What the simulator says of a tick is written when that tick has been answered, and before the answer: a run's log does
 not depend on how the processes happened to run, nor on how much is taken at once.

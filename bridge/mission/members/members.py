@@ -3,8 +3,8 @@
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
-from bridge.mission.crew.cable_geometry import CableGeometry
-from bridge.mission.crew.fleet_subset import bare, blind
+from bridge.mission.members.cable_geometry import CableGeometry
+from bridge.mission.members.fleet_subset import bare, blind
 from cablequad.control.design import Design
 from cablequad.control.estimator import Filter
 from cablequad.control.law import Controller
