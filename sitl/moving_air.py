@@ -15,11 +15,11 @@ class MovingAir:
         """`h`: s, of a step."""
         self._wind, self._h = wind, h
         self._drawn = np.zeros((0, 3))  # m/s: of the wind
-        self.newest: Array | None = None  # (3,) m/s, W: of the last step; None where no air has moved
         self.calm_down()
 
     def calm_down(self) -> None:
-        """End a gust."""
+        """End a gust, and begin anew."""
+        self.newest: Array | None = None  # (3,) m/s, W: of the last step; None where no air has moved
         self._gust, self._gust_s, self._gust_at = np.zeros(3), 0.0, 0.0
 
     def blow(self, wind: Array, seconds: float) -> None:

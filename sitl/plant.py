@@ -18,6 +18,8 @@ from sitl.moving_air import MovingAir
 from sitl.parts import Parts, Surroundings
 from sitl.wind import Wind
 
+AIR_US = 100_000  # between two words on how the air moves
+
 
 class Truth(NamedTuple):
     """The whole state at one instant, for the recorder alone."""

@@ -23,7 +23,7 @@ from sitl.firmware.navigate import attitude
 from sitl.firmware.personas import PERSONAS
 from sitl.firmware.telemetry import BUILD, Snapshot
 from sitl.pacing import Pace
-from sitl.plant import Plant, Truth
+from sitl.plant import AIR_US, Plant, Truth
 from sitl.release import Release
 from sitl.settings import Event, Report, Settings, Sink, plant_of, sensors_of, unread_frames
 from sitl.tick_answers import TickAnswers
@@ -32,7 +32,6 @@ from sitl.vehicle_links import VehicleLinks
 
 NO_FORCE = np.zeros(3)
 LOOK_S, RESEND_LOOKS = 0.1, 10  # wall clock, of one look for answers; after so many the tick is said again
-AIR_US = 100_000  # between two words on how the air moves
 CATCH_UP = 0.25  # s behind the wall clock that are made up for; more is let go
 
 

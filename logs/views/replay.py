@@ -1,26 +1,20 @@
 """Columns -> Rerun: a scene and plots that answer where the load is against the plan, which cable pulls how much, which
 vehicle is near its limit, and what happened when."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import rerun as rr
 
 from cablequad.types import Array
-from logs.reading.reader import Happening, Run, frame_headers, missing_before
-from logs.views.motion import MotionHistory, motion_of, rotate, separation, shade, thin
-from logs.views.replay_layout import TIMELINE, layout
-from logs.views.vehicle_reports import DISARMED, vehicle_reports
+from logs.reading.reader import Happening, Run
+from logs.views.motion import MotionHistory, motion_of, rotate, shade
+from logs.views.replay_layout import layout
+from logs.views.replay_plots import TAUT, plots, time_column, wire
 from logs.writing.encode import ALARMING, color
 
-PLOT_HZ = 250.0
 N_PER_M = 14.0  # thrust arrows: newtons a metre
 ARM = 0.17  # m
-AXES = [(230, 110, 20), (0, 178, 130), (60, 150, 235)]  # x, y, z
-REFERENCE = [(120, 120, 120)] * 3  # wide and grey, under the curves
-WIDE = 5.0
-GREY, TAUT, AMBER = (90, 90, 100), (0, 120, 90), (190, 140, 40)
 LANES = {"slack": (204, 121, 167), "taut": TAUT}
 PHASES = {
     "prepare": (90, 90, 100), "preflight": (110, 90, 130), "arm": (150, 90, 60), "take off": (30, 130, 150),
@@ -29,13 +23,8 @@ PHASES = {
     "hold": (90, 90, 100),
 }  # fmt: skip
 CARRIED_FROM, CARRIED_TO = "lift", "release"  # phases between which a slack cable is worth a warning
-NEAR = 1.6  # times the largest: a limit that far away is told in words, and flattens no curve
 SLACK = (255, 0, 255)
-LIMIT = (200, 60, 60)
-BETWEEN = (140, 140, 140)  # seen on a dark and on a light ground
-IN_CONTROL = ("OFFBOARD", "GUIDED")
 ASKED_M = 0.45  # length of a commanded thrust axis
-_Series = Callable[[str, Array, Array, list[str], list], None]  # where, t, values, names, colours
 GHOST = "'"  # marks the curves of a second run
 
 
@@ -59,12 +48,12 @@ def log(
     _bodies(out, m)
     _cables(out, m)
     _intentions(out, m)
-    _plots(out, run, m, "")
-    _wire(out, run)
+    plots(out, run, m, "")
+    wire(out, run)
     _events(out, run, told)
     if other is not None:
         _ghost(out, other[1])
-        _plots(out, *other, GHOST)
+        plots(out, *other, GHOST)
 
 
 KEY = """
@@ -93,7 +82,7 @@ def _key(out: rr.RecordingStream, m: MotionHistory) -> None:
 
 
 def _bodies(out: rr.RecordingStream, m: MotionHistory) -> None:
-    when, model = [_time(m.t)], m.model
+    when, model = [time_column(m.t)], m.model
     _key(out, m)
     out.log("world", rr.ViewCoordinates.FRD, static=True)
     half = 0.5 * np.array(model["box_m"])
@@ -149,7 +138,7 @@ def log_trail(out: rr.RecordingStream, x0: Array) -> None:
 
 def _cables(out: rr.RecordingStream, m: MotionHistory) -> None:
     """Every link as a strip of its own, coloured by its tension; a link that pushes is magenta and thick."""
-    when = [_time(m.t)]
+    when = [time_column(m.t)]
     released = m.t >= 0
     full = max(1e-6, float(np.percentile(m.tension[released], 99.5)) if released.any() else float(m.tension.max()))
     for i, k in enumerate(m.model["n_links"]):
@@ -171,7 +160,7 @@ def _intentions(out: rr.RecordingStream, m: MotionHistory) -> None:
     """What was asked and believed beside what was: commanded thrust axes, and cables as the controller took them."""
     if m.commanded is not None:
         known = np.isfinite(m.commanded[:, 0, 0])
-        when = [_time(m.t[known])]
+        when = [time_column(m.t[known])]
         for i in range(m.quads.shape[1]):
             up = rotate(m.commanded[known, i], np.array([[0.0, 0.0, -ASKED_M]]))[:, 0]
             name = f"world/asked/{i + 1}"
@@ -183,12 +172,12 @@ def _intentions(out: rr.RecordingStream, m: MotionHistory) -> None:
             name = f"world/believed/{i + 1}"
             out.log(name, rr.LineStrips3D.from_fields(colors=[(250, 250, 250, 170)], radii=[0.003]), static=True)
             strips = m.believed[known, i, : k + 1].astype(np.float32)
-            out.send_columns(name, [_time(m.t[known])], rr.LineStrips3D.columns(strips=strips))
+            out.send_columns(name, [time_column(m.t[known])], rr.LineStrips3D.columns(strips=strips))
 
 
 def _ghost(out: rr.RecordingStream, m: MotionHistory) -> None:
     """Another run in the same scene, grey: its load, cables and vehicles."""
-    when, grey = [_time(m.t)], (165, 165, 175, 120)
+    when, grey = [time_column(m.t)], (165, 165, 175, 120)
     half = 0.5 * np.array(m.model["box_m"])
     out.log("world/ghost/load/box", rr.Boxes3D(half_sizes=[half], colors=[grey], radii=[0.004]), static=True)
     out.send_columns("world/ghost/load", when, rr.Transform3D.columns(translation=m.x0, quaternion=_xyzw(m.quat0)))
@@ -206,155 +195,6 @@ def _arms() -> list[Array]:
     return [tips[:2], tips[2:]]
 
 
-def _plots(out: rr.RecordingStream, run: Run, m: MotionHistory, mark: str) -> None:
-    """Curves of one run; `mark` tells those of a second run apart, in paths and names."""
-    n = m.quads.shape[1]
-    vehicles = [f"{i + 1}{mark}" for i in range(n)]
-    tints = [_paler(color(i)) if mark else color(i) for i in range(n)]
-    axes = [_paler(c) for c in AXES] if mark else AXES
-
-    def series(where: str, t: Array, values: Array, names: list[str], colors: list) -> None:
-        _series(out, f"plots/{where}{mark}", t, values, names, colors)
-
-    control = run.columns.get("/control/state")
-    if control is not None:
-        rows = thin(control["sim_time_ns"], PLOT_HZ)
-        t = (control["sim_time_ns"][rows] - run.release_ns) * 1e-9
-        e_x, x = control["e_x0"][rows], control["position"][rows]
-        e_v, v = control["e_v0"][rows], control["velocity"][rows]
-        series("position/is", t, x, [f"{a}{mark}" for a in "xyz"], axes)
-        series("velocity/is", t, v, [f"v{a}{mark}" for a in "xyz"], axes)
-        if not mark:
-            wide = [WIDE] * 3  # "asked" sorts before "is", and what comes first is drawn below
-            _series(out, "plots/position/asked", t, x - e_x, ["reference"] * 3, REFERENCE, widths=wide)
-            _series(out, "plots/velocity/asked", t, v - e_v, ["reference"] * 3, REFERENCE, widths=wide)
-        series("thrust/commanded", t, control["thrust"][rows], [f"f_{k}" for k in vehicles], tints)
-        series("psi/vehicles", t, control["Psi"][rows], [f"Psi_{k}" for k in vehicles], tints)
-        series("psi_0/load", t, control["Psi_0"][rows][:, None], [f"Psi_0{mark}"], [(120, 150, 230)])
-        links = np.stack([control["e_q"][rows], control["e_w"][rows]], axis=1)
-        series("links/errors", t, links, [f"e_q{mark}", f"e_omega{mark}"], [axes[0], axes[2]])
-        series("age/state", t, 1e3 * control["state_age"][rows][:, None], [f"age of the state{mark}"], [(213, 94, 0)])
-    _estimate(series, run, m, mark, axes)
-    ends = m.t[[0, -1]]
-    limit = float(min(m.model["max_thrust_N"]))
-    if not mark and limit < NEAR * m.thrust.max():
-        series("thrust/limit", ends, np.full((2, 1), limit), ["limit"], [LIMIT])
-    slackest = np.where(m.t >= 0, m.tension.min(axis=(1, 2)), np.nan)
-    seen = np.isfinite(slackest)
-    series("tension/all", m.t[seen], slackest[seen, None], [f"smallest of all links{mark}"], [(120, 120, 120)])
-    last = np.array(m.model["n_links"]) - 1
-    at_load = m.tension[:, np.arange(n), last]
-    series("tension/load", m.t[seen], at_load[seen], [f"T_{k}" for k in vehicles], tints)
-    guard = dict(m.model.get("guards", {})) if not mark else {}
-    if guard.get("tension_N", np.inf) < NEAR * max(1e-9, float(m.tension.max())):
-        series("tension/limit", ends, np.full((2, 1), guard["tension_N"]), ["limit"], [LIMIT])
-    _pilot(series, m, vehicles, tints, mark)
-    _reports(out, series, run, mark, vehicles)
-    _air(series, run, mark, axes)
-
-
-def _estimate(series: _Series, run: Run, m: MotionHistory, mark: str, axes: list) -> None:
-    """How far the states that were gone by are from the true ones."""
-    off = run.columns.get("/control/estimate")
-    if off is None:
-        return
-    rows = thin(off["sim_time_ns"], PLOT_HZ)
-    t = (off["sim_time_ns"][rows] - run.release_ns) * 1e-9
-    n_links = np.array(m.model["n_links"])
-    used = (np.arange(off["link_direction"].shape[1] // len(n_links))[None, :] < n_links[:, None]).ravel()
-    both = np.stack([
-        100 * np.linalg.norm(off["position"][rows], axis=1),
-        np.degrees(np.sqrt(np.mean(off["link_direction"][rows][:, used] ** 2, axis=1))),
-    ], axis=1)  # fmt: skip
-    series("estimate/errors", t, both, [f"load [cm]{mark}", f"links [deg]{mark}"], [axes[2], axes[0]])
-
-
-def _air(series: _Series, run: Run, mark: str, axes: list) -> None:
-    """How the air moved."""
-    wind = run.columns.get("/plant/wind")
-    if wind is not None:
-        t = (wind["sim_time_ns"] - run.release_ns) * 1e-9
-        series("wind/air", t, wind["velocity"], [f"w{a}{mark}" for a in "xyz"], axes)
-
-
-def _pilot(
-    series: _Series,
-    m: MotionHistory,
-    vehicles: list[str],
-    tints: list,
-    mark: str,
-) -> None:
-    """What a pilot looks at: heights, distance to the target, tilts, and the two vehicles that are closest."""
-    n, grey = m.quads.shape[1], BETWEEN
-    series("height/load", m.t, -m.x0[:, 2:], [f"load{mark}"], [grey])
-    series("height/vehicles", m.t, -m.quads[:, :, 2], vehicles, tints)
-    off = np.linalg.norm(m.x0 - np.array(m.model["target_m"]), axis=1)
-    series("distance/load", m.t, off[:, None], [f"load to target{mark}"], [grey])
-    down = np.array([[0.0, 0.0, 1.0]])
-    tilts = [rotate(quats, down)[:, 0, 2] for quats in (m.quat0, *np.moveaxis(m.quats, 1, 0))]
-    degrees = np.degrees(np.arccos(np.clip(np.stack(tilts, axis=1), -1.0, 1.0)))
-    series("tilt/load", m.t, degrees[:, :1], [f"load{mark}"], [grey])
-    series("tilt/vehicles", m.t, degrees[:, 1:], vehicles, tints)
-    guard = dict(m.model.get("guards", {})) if not mark else {}
-    ends = m.t[[0, -1]]
-    for where, name in (
-        ("tilt/limit", "tilt_deg"),
-        ("tilt/limit_load", "load_tilt_deg"),
-        ("separation/limit", "separation_m"),
-    ):
-        if name in guard:
-            series(where, ends, np.full((2, 1), guard[name]), [name], [LIMIT])
-    if n > 1:
-        series("separation/all", m.t, separation(m.quads)[:, None], [f"closest two{mark}"], [grey])
-
-
-def _reports(
-    out: rr.RecordingStream,
-    series: _Series,
-    run: Run,
-    mark: str,
-    vehicles: list[str],
-) -> None:
-    """What vehicles said of themselves: batteries, modes and whether they are armed."""
-    said = [vehicle_reports(run, i + 1) for i in range(len(vehicles))]
-    for i, (_, (t, percent)) in enumerate(said):
-        if len(t):
-            series(f"battery/{i + 1}", t, percent[:, None], [vehicles[i]], [color(i)])
-    known = sorted({mode for report in said for _, mode in report.modes})
-    tints = [GREY if mode == DISARMED else TAUT if mode in IN_CONTROL else AMBER for mode in known]
-    for i, (modes, _) in enumerate(said):
-        if not modes or mark:
-            continue
-        lane = f"modes/vehicle_{i + 1}"
-        out.log(lane, rr.StateConfiguration(values=known, colors=tints), static=True)
-        t = np.array([when for when, _ in modes])
-        out.send_columns(lane, [_time(t)], rr.StateChange.columns(state=[mode for _, mode in modes]))
-
-
-def _wire(out: rr.RecordingStream, run: Run) -> None:
-    """What the links lost: frames missing by their sequence numbers, each second, of every sender."""
-    for topic, frames in sorted(run.frames.items()):
-        who, direction = topic.split("/")[2:4]
-        if direction != "rx" or len(frames) < 2:
-            continue
-        head = frame_headers(frames)
-        ns = frames.time_ns - run.epoch_ns
-        second = (ns - run.release_ns) // 10**9
-        missing = np.zeros(len(ns))
-        for sender in np.unique(head["sysid"] * 256 + head["compid"]):
-            rows = np.flatnonzero(head["sysid"] * 256 + head["compid"] == sender)
-            missing[rows] = missing_before(head["seq"][rows])
-        bins = np.arange(second[0], second[-1] + 1)
-        lost = np.bincount(second - second[0], missing, len(bins))
-        tint = color(int(who[4:]) - 1) if who.startswith("quad") else BETWEEN
-        _series(out, f"plots/lost/{who}", bins + 1.0, np.maximum(lost, 0.0)[:, None], [who], [tint])
-
-
-def _paler(c: tuple[int, int, int]) -> tuple[int, int, int]:
-    r, g, b = ((v + 2 * 150) // 3 for v in c)
-    return r, g, b
-
-
 def _events(out: rr.RecordingStream, run: Run, told: int) -> None:
     events = run.events[told:]
     marks = [(run.release_ns, "fly")] if any(e.kind == "release" for e in events) else []
@@ -366,7 +206,7 @@ def _events(out: rr.RecordingStream, run: Run, told: int) -> None:
     marks += [(e.time_ns, "hold") for e in events if e.kind == "end"]
     t = np.array([(ns - run.release_ns) * 1e-9 for ns, _ in marks])
     out.log("phases/mission", rr.StateConfiguration(values=list(PHASES), colors=list(PHASES.values())), static=True)
-    out.send_columns("phases/mission", [_time(t)], rr.StateChange.columns(state=[name for _, name in marks]))
+    out.send_columns("phases/mission", [time_column(t)], rr.StateChange.columns(state=[name for _, name in marks]))
     for cable in sorted({e.subject for e in events if e.kind in ("slack", "taut")}):
         marks = [(e.time_ns, e.kind) for e in events if e.subject == cable and e.kind in ("slack", "taut")]
         if told == 0 and marks[0][0] > run.release_ns:  # nothing was said of it before: it was as it begins
@@ -374,12 +214,12 @@ def _events(out: rr.RecordingStream, run: Run, told: int) -> None:
         t = np.array([(ns - run.release_ns) * 1e-9 for ns, _ in marks])
         lane = f"slack/{cable.replace(' ', '_')}"
         out.log(lane, rr.StateConfiguration(values=list(LANES), colors=list(LANES.values())), static=True)
-        out.send_columns(lane, [_time(t)], rr.StateChange.columns(state=[name for _, name in marks]))
+        out.send_columns(lane, [time_column(t)], rr.StateChange.columns(state=[name for _, name in marks]))
     if events:
         t = np.array([(e.time_ns - run.release_ns) * 1e-9 for e in events])
         text = [f"{e.subject}: {e.text}" for e in events]
         level = ["WARN" if e.kind in ALARMING and _matters(run, e) else "INFO" for e in events]
-        out.send_columns("events", [_time(t)], rr.TextLog.columns(text=text, level=level))
+        out.send_columns("events", [time_column(t)], rr.TextLog.columns(text=text, level=level))
 
 
 def _matters(run: Run, event: Happening) -> bool:
@@ -388,18 +228,6 @@ def _matters(run: Run, event: Happening) -> bool:
         return True
     phases = [e.text for e in run.events if e.kind == "phase" and e.time_ns <= event.time_ns]
     return CARRIED_FROM in phases and CARRIED_TO not in phases if phases else True
-
-
-def _series(
-    out: rr.RecordingStream, entity: str, t: Array, values: Array, names: list[str], tints: list,
-    widths: list[float] | None = None,
-) -> None:  # fmt: skip
-    out.log(entity, rr.SeriesLines(names=names, colors=tints, widths=widths or [1.6] * len(names)), static=True)
-    out.send_columns(entity, [_time(t)], rr.Scalars.columns(scalars=values))
-
-
-def _time(t: Array) -> rr.TimeColumn:
-    return rr.TimeColumn(TIMELINE, duration=np.rint(t * 1e9).astype("timedelta64[ns]"))
 
 
 def _xyzw(quat_wxyz: Array) -> Array:

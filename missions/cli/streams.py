@@ -37,5 +37,8 @@ class Unbroken:
 
 
 def unbroken() -> None:
-    """Let both standard streams outlive their readers."""
-    sys.stdout, sys.stderr = Unbroken(sys.stdout), Unbroken(sys.stderr)
+    """Let both standard streams, where there are any, outlive their readers."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is not None:
+            setattr(sys, name, Unbroken(stream))

@@ -29,14 +29,13 @@ from sitl.external.stands import Stands
 from sitl.firmware.telemetry import origin
 from sitl.instruments import Grades, Instruments
 from sitl.pacing import Pace
-from sitl.plant import Truth
+from sitl.plant import AIR_US, Truth
 from sitl.settings import Report, Settings, Sink, own_generator, plant_of, sensors_of, unread_frames
 
 FRAME_US = 1250  # the longest step: ArduCopter does not arm below 1.8 times its loop rate of 400 Hz
 LONG_TICK_US = 5000  # of whole such steps
 START_US = 1_000_000  # of the physics' clock: no firmware is told that it is 0
 LANDED_US = 200_000
-AIR_US = 100_000  # between two words on how the air moves
 REAL_TIME_S = 0.2  # behind the wall clock that is made up for
 
 
