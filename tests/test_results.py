@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from cablequad.model.state import State
 from cablequad.model.system import System
@@ -126,3 +127,12 @@ def test_a_calm_log_has_no_wind(tmp_path: Path) -> None:
     options = Options(out=tmp_path, in_process=True)
     summary, _ = run_flight(load("paper-case-1-50hz", duration_s=1.0), options, Progress())
     assert "/plant/wind" not in read(Path(str(summary.log))).columns
+
+
+def test_a_separation_that_never_changes_is_seen() -> None:
+    drawn = Figure()
+    ax = drawn.subplots()
+    still = np.tile(np.array([[0.0, 0.0, 0.0], [0.6, 0.0, 0.0]]), (5, 1, 1))
+    figures._separation(ax, np.arange(5.0), still)
+    low, high = ax.get_ylim()
+    assert low + 0.05 < 0.6 < high - 0.05

@@ -94,8 +94,9 @@ def _separation(ax: Axes, t: Array, x: Array) -> None:
     if x.shape[1] < 2:
         ax.annotate("one vehicle", (0.5, 0.5), xycoords="axes fraction", ha="center", color="0.4")
         return
-    ax.plot(t, separation(x), color="0.15", linewidth=1.1)
-    ax.set_ylim(bottom=0.0)
+    apart = separation(x)
+    ax.plot(t, apart, color="0.15", linewidth=1.1)
+    ax.set_ylim(0.0, 1.15 * float(apart.max()))  # a separation that never changes is not on the frame
 
 
 def _age(ax: Axes, t: Array, age_ms: Array) -> None:
