@@ -88,7 +88,7 @@ class VehicleLinks:
     def speak(self, i: int, vehicle: Autopilot, own: Snapshot) -> list[int]:
         """Send what vehicle i says of itself; on which ports its attitude will close the tick (`close`)."""
         ports, down, now = self.ports[i], self._down[i], own.boot_us
-        audible = tuple([self._link.ports[p].heard for p in ports])  # where somebody may listen
+        audible = [self._link.ports[p].heard for p in ports]  # where somebody may listen
         for message_of, message in vehicle.outgoing(own, audible):
             for k, port in enumerate(ports):
                 if (message_of is None or message_of == k) and audible[k]:

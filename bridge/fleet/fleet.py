@@ -96,6 +96,7 @@ class Fleet:
         A flight begins when all carry themselves, a mission from the ground when all are armed. Without cables
         measured, positions are in the loop.
         """
+        self.n = len(max_thrust_N)
         self.failure: str | None = None
         self.incomplete = ""  # what keeps the state from being whole, in words
         self.released_at: float | None = None
@@ -110,11 +111,6 @@ class Fleet:
         self._outbox = _Outbox()
         self._lost: set[int] = set()
         self._heard = _Heard()
-
-    @property
-    def n(self) -> int:
-        """How many vehicles there are."""
-        return len(self._vehicles)
 
     @property
     def _intervals_us(self) -> dict[int, int]:
@@ -314,12 +310,14 @@ class Fleet:
         fault: no vehicle was silent or slow in it.
         """
         gap = now - self._heard.now
+        if gap <= 0.0:
+            return
         if gap > GAP_S:
             for v in self._vehicles:
                 v.heard_at += gap
                 v.since += gap
             self.departed = {k: (act_at + gap, why) for k, (act_at, why) in self.departed.items()}
-        self._heard.now = max(self._heard.now, now)
+        self._heard.now = now
 
     def _fail(self, text: str) -> None:
         if self.failure is None:

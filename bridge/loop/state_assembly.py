@@ -93,6 +93,7 @@ class StateAssembler:
     def __init__(self, loop: LoopModel) -> None:
         self._loop = loop
         self._links_of: list[int] = loop.system.n_links.tolist()
+        self._n = len(self._links_of)
         apart = 1 if loop.attitude_rate == 1 else self._n  # each at a time of its own
         self._kept = KEPT * loop.attitude_rate * apart
         self._hanging = np.tile((0.0, 0.0, 1.0, 0.0, 0.0, 0.0), (*loop.system.length.shape, 1))
@@ -107,10 +108,6 @@ class StateAssembler:
         self._slack = False
         self._begun = False
         self._last = _LastReports(self._n)
-
-    @property
-    def _n(self) -> int:
-        return len(self._links_of)
 
     def inherit(self, before: "StateAssembler", rest: list[int]) -> None:
         """Know what `before` was told last by those of its vehicles (from 0) that are left: the silent say no more."""

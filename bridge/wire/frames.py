@@ -106,9 +106,14 @@ def fields(kind: Kind, payload: bytes) -> SimpleNamespace:
 
 
 def unpack(kind: Kind, payload: bytes) -> tuple[Any, ...]:
-    """The fields of a payload in wire order, arrays flat; what was cut counts as zeros, what is unknown is left out."""
+    """The fields of a payload in wire order, arrays flat."""
     layout = kind.unpacker
-    return tuple(layout.unpack(payload[: layout.size].ljust(layout.size, b"\0")))
+    return tuple(layout.unpack(whole_payload(payload, layout.size)))
+
+
+def whole_payload(payload: bytes, size: int) -> bytes:
+    """A payload as long as its kind is: what was cut counts as zeros, what is unknown is left out."""
+    return payload[:size].ljust(size, b"\0")
 
 
 def payload_of(frame: bytes) -> bytes:

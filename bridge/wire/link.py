@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection, Sequence
 from typing import Any, NamedTuple
 
 from bridge.wire.batches import Batch
-from bridge.wire.frames import SIGNED, Packed, Signer, Verdict, checksum, frame, targeted
+from bridge.wire.frames import SIGNED, Packed, Signer, Verdict, checksum, frame, targeted, whole_payload
 from bridge.wire.memory import MemoryNetwork, MemoryPort
 from bridge.wire.messages import KINDS
 from bridge.wire.poller import Poller
@@ -286,7 +286,7 @@ class Link:
                     counters.bad += 1
                 at = last if last <= end else at + 1
                 continue
-            name, crc_extra, read = kind
+            name, crc_extra, read, size = kind
             if checksum(data[at + 1 : tail] + crc_extra) != data[tail] | data[tail + 1] << 8:
                 counters.bad += 1
                 at += 1
@@ -300,7 +300,7 @@ class Link:
             value = None
             if read is not None:
                 try:
-                    value = read(payload)
+                    value = read(payload if len(payload) == size else whole_payload(payload, size))
                 except Exception:  # whatever a stranger put into its fields, it costs this frame alone
                     counters.meaningless += 1
             self._count(port, address, system, component, seq)

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bridge.wire.dialect import CABLE_STATE, Kind, mavlink
-from bridge.wire.frames import Packed, fields, frame, pack, packed, payload_of
+from bridge.wire.frames import Packed, fields, frame, pack, packed, payload_of, whole_payload
 from bridge.wire.values import (
     AttitudeTarget,
     BatteryStatus,
@@ -442,9 +442,8 @@ _BY_NAME |= {
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: _read_battery,
     mavlink.MAVLINK_MSG_ID_GPS_RAW_INT: _read_fix,
 }  # one direction only, or not the same value in both
-_AS_BYTES: dict[int, tuple[int, Callable[[bytes], Any]]] = {
-    kind.id: (kind.unpacker.size, read)
-    for kind, read in [*((kind, read) for _, kind, _, read in _HOT), (_IMU, _read_imu)]
+_AS_BYTES: dict[int, Callable[[bytes], Any]] = {
+    kind.id: read for kind, read in [*((kind, read) for _, kind, _, read in _HOT), (_IMU, _read_imu)]
 }
 
 
@@ -453,19 +452,20 @@ class Known(NamedTuple):
 
     name: str
     crc_extra: bytes
-    read: Callable[[bytes], Any] | None  # the value in a payload; None for a kind that nobody here reads
+    read: Callable[[bytes], Any] | None  # the value in a whole payload; None for a kind that nobody here reads
+    size: int  # bytes of a whole payload
 
 
 def _reader(kind: Kind) -> Callable[[bytes], Any] | None:
-    hot, by_name = _AS_BYTES.get(kind.id), _BY_NAME.get(kind.id)
-    if hot is not None:
-        size, read = hot  # what was cut counts as zeros, what is unknown is left out
-        return lambda payload: read(payload if len(payload) == size else payload[:size].ljust(size, b"\0"))
-    return None if by_name is None else lambda payload: by_name(fields(kind, payload))
+    by_name = _BY_NAME.get(kind.id)
+    if kind.id in _AS_BYTES or by_name is None:
+        return _AS_BYTES.get(kind.id)
+    return lambda payload: by_name(fields(kind, payload))
 
 
 KINDS = {
-    number: Known(kind.msgname, bytes((kind.crc_extra,)), _reader(kind)) for number, kind in mavlink.mavlink_map.items()
+    number: Known(kind.msgname, bytes((kind.crc_extra,)), _reader(kind), kind.unpacker.size)
+    for number, kind in mavlink.mavlink_map.items()
 }
 
 
@@ -480,7 +480,7 @@ def decode(msgid: int, whole: bytes) -> Value | None:
     if kind is None or kind.read is None:
         return None
     try:
-        return kind.read(payload_of(whole))
+        return kind.read(whole_payload(payload_of(whole), kind.size))
     except (ValueError, ArithmeticError, struct.error):
         return None
 

@@ -43,6 +43,7 @@ FURTHEST = 0.6  # rad
 RESERVE = 0.9  # of the rotors' limit, left for the tilt
 DAMPING_BEGIN, DAMPING_END, RETURN_S = 0.25, 0.1, 0.5
 YIELDING, DAMPING, STIFFNESS, LEAD = 3.0, 5.0, 5.0, 0.58
+PREDICTION_US = 2000  # a step of the prediction that damping rests on, where the stiffest mode allows it
 
 
 class Authority(NamedTuple):
@@ -286,7 +287,7 @@ def _authority(system: System, airframe: Airframe) -> Authority:
 
 
 def _swing_damping(system: System, airframe: Airframe, share: float, period: float) -> SwingDamping:
-    step = 1e-6 * stable_substep(system, 1000, round(period * 1e6))
+    step = 1e-6 * stable_substep(system, PREDICTION_US, round(period * 1e6))
     lag = float((2.0 * airframe.damping / airframe.bandwidth).max())
     return SwingDamping(
         DAMPING_BEGIN,

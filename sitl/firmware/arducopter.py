@@ -6,6 +6,7 @@ it. Each says so in STATUSTEXT.
 """
 
 import math
+from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -347,7 +348,7 @@ class ArduCopter(Autopilot):
             status = M.MAV_STATE_BOOT
         return Heartbeat(M.MAV_TYPE_QUADROTOR, self.autopilot, base, int(self.mode), status)
 
-    def outgoing(self, s: Snapshot, audible: tuple[bool, ...]) -> list[Outgoing]:
+    def outgoing(self, s: Snapshot, audible: Sequence[bool]) -> list[Outgoing]:
         out = super().outgoing(s, audible)
         return out if s.boot_us >= self._ready_us else [o for o in out if o.message.msgid not in _POSITION]
 

@@ -2,7 +2,7 @@
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from enum import Enum
 from typing import Any, ClassVar, NamedTuple
 
@@ -330,7 +330,7 @@ class Autopilot(ABC):
             self._position.home,
         )  # fmt: skip
 
-    def outgoing(self, s: Snapshot, audible: tuple[bool, ...]) -> list[Outgoing]:
+    def outgoing(self, s: Snapshot, audible: Sequence[bool]) -> list[Outgoing]:
         """What to send at this tick; see Outbox.take."""
         return self.out.take(s, audible, self._heartbeat, self._timesync)
 

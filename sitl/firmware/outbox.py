@@ -1,6 +1,6 @@
 """What a flight controller sends: streams, answers, texts and parameters, in the order of a tick."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from bridge.wire.dialect import mavlink
@@ -75,7 +75,7 @@ class Outbox:
         return bool(self._asked_for) and any(asked == msgid for _, asked in self._asked_for)
 
     def take(
-        self, s: Snapshot, audible: tuple[bool, ...], heartbeat: Callable[[int], Heartbeat],
+        self, s: Snapshot, audible: Sequence[bool], heartbeat: Callable[[int], Heartbeat],
         timesync: Callable[[int], Timesync],
     ) -> list[Outgoing]:  # fmt: skip
         """What to send at this tick, but for the attitude quaternion, which closes it on the links in `closing`.
@@ -95,9 +95,7 @@ class Outbox:
         built: dict[int, Packed] = {}
         self.closing = []
         for link, streams in enumerate(self._streams):
-            if not audible[link]:
-                continue
-            for msgid in streams.due(now_us):
+            for msgid in streams.due(now_us) if audible[link] else ():
                 if msgid == ATTITUDE_QUATERNION:
                     self.closing.append(link)
                 elif msgid == mavlink.MAVLINK_MSG_ID_TIMESYNC:
