@@ -847,15 +847,17 @@ def test_the_law_is_designed_for_what_an_autopilot_is_known_to_do_unless_it_was_
 
 
 def test_acceptance_that_supposes_perfect_attitudes_is_widened_by_what_the_estimator_does() -> None:
-    """Recorded with real ones: e_q ends at 0.33 with PX4 and at 0.01 with ArduCopter; 0.1 is asked."""
+    """Recorded with real ones: e_q, a sum over 20 links, ends at 0.33 with PX4 and at 0.01 with ArduCopter."""
     flight = scenarios.load("paper-case-1")
-    assert flight.scenario.acceptance.e_q == 0.1
-    px4 = behind(flight, ("px4",) * 4).scenario.acceptance.e_q
-    copter = behind(flight, ("arducopter",) * 4).scenario.acceptance.e_q
-    assert px4 is not None
-    assert copter is not None
-    assert 0.33 < px4 < 0.6
-    assert 0.1 <= copter < 0.15
+    asked = flight.scenario.acceptance.model_copy(update={"e_q": 0.1})
+    assert asked.link_error_deg == 0.3
+    flight = flight._replace(scenario=flight.scenario.model_copy(update={"acceptance": asked}))
+    px4 = behind(flight, ("px4",) * 4).scenario.acceptance
+    copter = behind(flight, ("arducopter",) * 4).scenario.acceptance
+    assert 0.33 < (px4.e_q or 0.0) < 0.6
+    assert math.degrees(0.33 / 20) < (px4.link_error_deg or 0.0) < math.degrees(0.6 / 20)
+    assert 0.1 <= (copter.e_q or 0.0) < 0.15
+    assert 0.3 <= (copter.link_error_deg or 0.0) < 0.45
 
 
 def test_attitudes_are_asked_for_as_often_as_the_autopilots_send_and_the_links_bear(tmp_path: Path) -> None:

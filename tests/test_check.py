@@ -5,12 +5,20 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from conftest import cablequad
+from conftest import cablequad, irregular
 
 from cablequad.analysis.certificate import AttitudeGains, attitude_gains, certify, higher_order_slope
-from cablequad.analysis.margins import margins, modes
+from cablequad.analysis.margins import _loop_gain, margins, modes
 from cablequad.analysis.rollout import LoopTiming, rollout
-from cablequad.control.design import HOVER_N, Weights, continuous_law, sampled_law
+from cablequad.control.design import (
+    HOVER_N,
+    Weights,
+    continuous_law,
+    loop_gains,
+    sampled_law,
+    sampled_loop,
+    state_space,
+)
 from cablequad.control.geometric import AttitudeCommand, attitude_error, moment
 from cablequad.control.trajectory import Reference
 from cablequad.model.attitude import Airframe
@@ -181,6 +189,22 @@ def test_four_cables_reach_everything_and_the_top_modes_least() -> None:
     listed = modes(PAPER)
     assert listed[0].pbh > 1e-2
     assert abs(listed[0].pole.imag) == pytest.approx(max(abs(m.pole.imag) for m in listed), rel=0.01)
+
+
+@pytest.mark.parametrize("system", [PAPER, irregular()], ids=["paper", "irregular"])
+def test_pbh_margins_are_singular_values_of_the_whole_pencil(system: System) -> None:
+    A, B = state_space(system)
+    for mode in modes(system):
+        whole = np.hstack([A - mode.pole * np.eye(len(A)), B])
+        assert mode.pbh == pytest.approx(np.linalg.svd(whole, compute_uv=False)[-1], rel=1e-3)
+
+
+def test_the_loop_gain_by_parts_is_that_of_the_whole_matrix() -> None:
+    design = sampled_law(PAPER, AIRFRAME, Weights(), 0.004, 3)
+    loop = sampled_loop(PAPER, AIRFRAME, 0.004, 3)
+    K, z = loop_gains(design, loop), np.exp(1j * np.array([0.01, 0.2, 1.2, 3.0]))
+    whole = [K @ np.linalg.solve(at * np.eye(len(loop.A)) - loop.A, loop.B) for at in z]
+    assert _loop_gain(loop, K, z) == pytest.approx(np.array(whole), rel=1e-6, abs=1e-6)
 
 
 def test_predicted_delay_margin_is_what_simulation_shows() -> None:

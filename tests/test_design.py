@@ -3,11 +3,14 @@
 from pathlib import Path
 from typing import get_args
 
+import control
 import numpy as np
 import pytest
 from conftest import irregular
+from scipy import linalg
 
 from cablequad.analysis.rollout import LoopTiming, rollout
+from cablequad.control import riccati
 from cablequad.control.control_step import Measurement, Memory, Sample, control_step, first_memory
 from cablequad.control.design import (
     Design,
@@ -52,6 +55,45 @@ def test_continuous_gains_make_the_linear_model_stable() -> None:
 def test_sampled_gains_make_the_loop_as_flown_stable(delay: int) -> None:
     loop = sampled_loop(PAPER, airframe(4), 0.004, delay)
     gains = loop_gains(sampled_law(PAPER, airframe(4), Weights(), 0.004, delay), loop)
+    assert np.abs(np.linalg.eigvals(loop.A - loop.B @ gains)).max() < 1
+
+
+@pytest.mark.parametrize("system", [PAPER, System.paper(2), irregular()], ids=["1", "2", "irregular"])
+def test_riccati_solutions_are_those_of_the_control_library(system: System) -> None:
+    """Whose solvers are by the pencil's eigenvalues."""
+    A, B = state_space(system)
+    reached = controllable(system)
+    onto, back = linalg.block_diag(*[reached.coordinates] * 2), linalg.block_diag(*[reached.shapes] * 2)
+    A, B, R = onto @ A @ back, onto @ B, np.diag(np.linspace(0.5, 2.0, B.shape[1]))
+    Q = back.T @ back
+    G = B @ np.linalg.solve(R, B.T)
+    theirs = control.care(A, B, Q, R)[0]
+    assert riccati.continuous(A, G, Q) == pytest.approx(theirs, rel=1e-8, abs=1e-8 * np.abs(theirs).max())
+    loop = sampled_loop(system, airframe(len(system.m)), 0.004, 1)
+    Q, G = np.eye(len(loop.A)), loop.B @ np.linalg.solve(R, loop.B.T)
+    X = riccati.discrete(loop.A, G, Q)
+    K, theirs = np.linalg.solve(R + loop.B.T @ X @ loop.B, loop.B.T @ X @ loop.A), control.dlqr(loop.A, loop.B, Q, R)[0]
+    assert np.linalg.norm(K - theirs) < 1e-3 * np.linalg.norm(theirs)  # links weigh much here: theirs are no more exact
+    left = loop.A.T @ X @ np.linalg.solve(np.eye(len(X)) + G @ X, loop.A) + Q - X
+    assert np.abs(left).max() < 1e-9 * np.abs(X).max()
+
+
+def test_a_system_that_cannot_be_stabilised_has_no_riccati_solution() -> None:
+    grows, nothing = np.diag([1.5, 0.5]), np.zeros((2, 2))
+    for solve, A in ((riccati.discrete, grows), (riccati.continuous, np.diag([0.5, -0.5]))):
+        with pytest.raises(np.linalg.LinAlgError, match="no stabilising solution"):
+            solve(A, nothing, np.eye(2))
+
+
+@pytest.mark.parametrize("link_kg", [5e-5, 1e-6, 0.0])
+def test_threads_beside_30_g_vehicles_have_gains(link_kg: float) -> None:
+    """Their undamped modes lie at the stability boundary, where solvers by eigenvalues refuse."""
+    load = Payload(0.048, (2e-4, 2e-4, 3e-4), [(0.1, 0.1, 0.0), (-0.1, 0.1, 0.0), (-0.1, -0.1, 0.0), (0.1, -0.1, 0.0)])
+    quadrotor, cable = Quadrotor(0.03, (1.6e-5, 1.6e-5, 2.9e-5)), Cable([link_kg] * 5, [0.1] * 5)
+    system = System.of(load, [quadrotor] * 4, [cable] * 4)
+    stock = Airframe(np.full(4, 10.0), np.full(4, 0.9), np.full(4, 0.62))
+    loop = sampled_loop(system, stock, 0.02, 1)
+    gains = loop_gains(sampled_law(system, stock, Weights(), 0.02, 1), loop)
     assert np.abs(np.linalg.eigvals(loop.A - loop.B @ gains)).max() < 1
 
 

@@ -214,6 +214,7 @@ def test_zero_link_cables_and_massless_parts_are_refused_by_name() -> None:
     for wrong, text in [
         (lambda: System.of(load, [q], [Cable([], [])]), "cable 1: no links"),
         (lambda: System.of(load, [q], [Cable([0.01, 0.01], [0.3])]), "2 masses but 1 lengths"),
+        (lambda: System.of(load, [q], [Cable([-0.01], [0.3])]), "cable 1 link 1 mass: -0.01"),
         (lambda: System.of(load._replace(mass=0.0), [q], [c]), "payload.mass: 0.0"),
         (lambda: System.of(load, [q._replace(mass=-1.0)], [c]), "quadrotor 1 mass: -1.0"),
         (lambda: System.of(load, [q, q], [c, c]), "payload.attachments"),

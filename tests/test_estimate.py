@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from cablequad.analysis.rollout import LoopTiming, rollout
+from cablequad.control.control_step import Measurement, control_step, first_memory
 from cablequad.control.design import Weights, sampled_law
-from cablequad.control.estimator import corrected, estimator, first_belief, nothing_measured, predicted
-from cablequad.control.trajectory import Limits, at, leg
+from cablequad.control.estimator import Belief, corrected, estimator, first_belief, nothing_measured, predicted
+from cablequad.control.trajectory import Limits, Reference, at, leg
 from cablequad.model import lie
 from cablequad.model.attitude import Airframe, Setpoint
 from cablequad.model.noise import Noise
@@ -68,3 +69,47 @@ def test_links_are_estimated_from_noisy_measurements(sensing: str, limit_deg: fl
             cosine = np.clip(np.sum(belief.state.q * s.q, axis=-1), -1, 1)
             errors.append(np.mean(np.arccos(cosine) ** 2))
     assert np.degrees(np.sqrt(np.mean(errors))) < limit_deg
+
+
+def test_a_steady_wind_on_the_load_is_found_and_its_cables_lean_as_they_do() -> None:
+    """0.5 N on a load of 0.5 kg: supposed to hang straight, its cables would be 6 degrees off for good."""
+    system, air = System.paper(1), airframe(4)
+    design = sampled_law(system, air, Weights(), 0.01, 1)
+    filter = estimator(system, air, 0.01, "fleet", NOISE).filter
+    wind = np.zeros((5, 3))
+    wind[4] = 0.5, 0.0, 0.0
+    truth, belief = Belief(State.hanging(system), wind), None
+    memory, still = first_memory(design), Reference(np.zeros(3), np.zeros(3))
+    for k in range(1200):
+        s = truth.state
+        seen = nothing_measured(system)._replace(
+            x=positions(system, s)[:, 0], v=velocities(system, s)[:, 0], R=s.R, Omega=s.Omega,
+            x0=s.x0, v0=s.v0, R0=s.R0, Omega0=s.Omega0,
+        )  # fmt: skip
+        belief = first_belief(filter, seen) if belief is None else corrected(filter, belief, seen)
+        assert belief is not None
+        acts = Setpoint.attitude(memory.R_c[0], memory.f[0])
+        memory, _ = control_step(memory, Measurement(0.01 * k, s), still, design)
+        truth, belief = predicted(filter, truth, acts, 0.001, 10), predicted(filter, belief, acts, 0.001, 10)
+    leans = np.degrees(np.arccos(truth.state.q[:, :, 2]))
+    off = np.degrees(np.linalg.norm(belief.state.q - truth.state.q, axis=2))
+    assert leans.min() > 4.0
+    assert off.max() < 0.1
+    assert belief.force[4] == pytest.approx(wind[4], abs=0.02)
+
+
+@pytest.mark.parametrize("n", [4, 6])
+def test_forces_that_only_share_the_load_differently_are_not_estimated(n: int) -> None:
+    """Nothing measured shows them: a belief of them would grow without end, and its gains with it."""
+    ring = 2.0 * np.pi * np.arange(n) / n
+    system = carried([(0.4 * np.cos(a), 0.4 * np.sin(a), -0.1) for a in ring])
+    gain = estimator(system, airframe(n), 0.02, "fleet", NOISE).filter.gain
+    on_forces = gain[-3 * (n + 1) :]
+    turned = np.zeros((3 * (n + 1), 3))
+    for k, weights in enumerate((np.ones(n), np.cos(ring), np.sin(ring))):
+        turned[2 : 3 * n : 3, k] = weights
+    vertical = np.zeros((len(turned), n))
+    vertical[2 : 3 * n : 3] = np.eye(n)
+    sharing = vertical - turned @ np.linalg.lstsq(turned, vertical, rcond=None)[0]
+    assert np.abs(sharing.T @ on_forces).max() < 1e-9 * np.abs(on_forces).max()
+    assert np.abs(gain).max() < 100.0

@@ -8,12 +8,16 @@ import pytest
 
 from bridge.mission.phases import RULES, Phase
 from bridge.mission.scale import ARM_M, CABLE_M, USUAL, scale_of
+from cablequad.model import lie
+from cablequad.model.integrate import RotorOutput, step
 from cablequad.model.state import State
+from cablequad.model.system import LIGHT, Cable, Payload, Quadrotor, System, box_inertia, cut_off
 from logs.reading.reader import read
 from missions.analysis.drills import drills
 from missions.flight.options import Options, Progress
 from missions.flight.run import run
 from missions.flight.summary import Summary
+from missions.scenario.limits import plan_limits
 from missions.scenario.loading import Flight, load
 from missions.scenario.mission_setup import guards, plan_of
 from missions.scenario.surroundings import standing_z
@@ -120,3 +124,49 @@ def test_what_stands_in_the_wind_stays_where_it_stands(tmp_path: Path) -> None:
     x, _ = plant.kinematics()
     assert abs(plant.state.x0[2] - standing_z(flight.scenario, ground, flight.initial.R0)) < 2e-3
     assert np.isfinite(x).all()
+
+
+def test_light_links_come_to_the_massless_cable_in_proportion_to_their_mass() -> None:
+    """Swinging under three links against one without mass: half the mass, half the difference."""
+
+    def swings(cable: Cable) -> np.ndarray:
+        attachments = [(0.3, 0.4, -0.1), (-0.3, 0.4, -0.1), (-0.3, -0.4, -0.1), (0.3, -0.4, -0.1)]
+        load = Payload(0.5, box_inertia(0.5, (0.6, 0.8, 0.2)), attachments)
+        system = System.of(load, [Quadrotor(0.755, (5e-3, 5e-3, 1e-2))] * 4, [cable] * 4)
+        state, hover = State.hanging(system), float(system.M_T) * system.g / 4
+        for _ in range(4000):  # sideways in step with the thrust, so that no link is pushed
+            command = RotorOutput(np.full(4, 1.02 * hover), np.zeros((4, 3)))
+            state = step(
+                system, state._replace(R=np.tile(lie.exp(np.array([0.0, 0.1, 0.0])), (4, 1, 1))), command, 1e-4
+            )
+        return state.x0
+
+    massless = swings(Cable([0.0], [0.75]))
+    apart = [np.linalg.norm(swings(Cable([m] * 3, [0.25] * 3)) - massless) for m in (4e-3, 2e-3, 1e-3)]
+    orders = np.log2(np.array(apart[:-1]) / apart[1:])
+    assert orders == pytest.approx([1.0, 1.0], abs=0.1)
+
+
+def test_a_chain_without_mass_is_one_of_the_least_mass_that_counts() -> None:
+    load, quadrotor = Payload(0.5, (0.01, 0.01, 0.02), [(0.0, 0.0, -0.1)]), Quadrotor(0.755, (5e-3, 5e-3, 1e-2))
+    system = System.of(load, [quadrotor], [Cable([0.0] * 3, [0.25] * 3)])
+    assert system.m_link[0].tolist() == [LIGHT * 0.5, LIGHT * 0.5, 0.0]
+    heavier = System.of(load, [quadrotor], [Cable([1e-3] * 3, [0.25] * 3)])
+    assert heavier.m_link[0].tolist() == [1e-3] * 3
+    tip = cut_off(system, 0)
+    assert tip.m0 > 0.0
+
+
+def test_what_a_plan_leaves_out_follows_from_gravity_thrust_and_cables(tmp_path: Path) -> None:
+    usual = plan_limits(load("ground-to-ground").scenario)
+    assert usual == (1.0, 1.5, 5.0, 0.5)
+    moon = plan_limits(sized(tmp_path, [(r"\nname = ", "\ngravity_m_s2 = 1.62\nname = ")]).scenario)
+    assert moon.acceleration == pytest.approx(1.5 * 1.62 / 9.81)
+    weak = plan_limits(sized(tmp_path, [(r"max_thrust_N = .*", "max_thrust_N = 10.6")]).scenario)
+    assert 0.1 < weak.acceleration < 1.0  # 85 % to hover
+    long = plan_limits(sized(tmp_path, LONG).scenario)
+    assert (long.speed, long.acceleration) == (1.0, 1.5)
+    assert (long.jerk, long.yaw_rate) == pytest.approx((5.0 / 20**0.5, 0.5 / 20**0.5))
+    stated = "jerk_m_s3 = 2.0\nyaw_rate_deg_s = 10.0\nacceleration_m_s2 = 0.7\nspeed_m_s = 1.0"
+    said = plan_limits(sized(tmp_path, [*LONG, (r"speed_m_s = 1.0", stated)]).scenario)
+    assert said == pytest.approx((1.0, 0.7, 2.0, np.radians(10.0)))

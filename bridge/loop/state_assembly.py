@@ -99,7 +99,7 @@ class StateAssembler:
         self._hanging = np.tile((0.0, 0.0, 1.0, 0.0, 0.0, 0.0), (*loop.system.length.shape, 1))
         self._parts: dict[int, _Parts] = {}
         self._known: dict[int, tuple[Belief, int]] = {}  # estimates and the stamp that their oldest part rests on
-        self._no_force = np.zeros((self._n, 3))
+        self._no_force = np.zeros((self._n + 1, 3))
         self._commands: dict[int, tuple[Array, Array]] = {}  # R_c and f by the state they answered
         self._newest_ms = -1
         self._oldest_new = -1  # the earliest stamp of which something new is known; -1: none

@@ -8,6 +8,7 @@ of it, and a small scale always satisfies the condition on lambda_m(W_2i). What 
 slope that the higher-order terms may have; `curve` searches both.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -99,7 +100,8 @@ def certify(design: Design, weights: Weights, gains: AttitudeGains) -> Certifica
     attitude = [_attitude(design.system.J[i], gains, i) for i in range(len(design.system.m))]
     if abscissa >= 0:
         return Certificate(False, abscissa, loop, [], attitude, 0.0, [])
-    choices = [_lyapunov(name, loop, Q) for name, Q in _shapes(design, weights)]
+    solved = _lyapunov_equation(loop.A)
+    choices = [_lyapunov(name, loop, Q, solved(Q)) for name, Q in _shapes(design, weights)]
     n = len(attitude)
     psi_1_max = max(_psi(choice.alpha_max / n) for choice in choices)
     curve = [_best(psi_1_max * share, choices, attitude, loop) for share in (0.01, 0.1, 0.25, 0.5, 0.75, 0.9)]
@@ -126,8 +128,20 @@ def _shapes(design: Design, weights: Weights) -> list[tuple[str, Array]]:
     return [("I", np.eye(2 * D)), ("LQR cost", Q + K.T @ R @ K), ("LQR state cost", Q), *graded]
 
 
-def _lyapunov(name: str, loop: TranslationalLoop, Q: Array) -> Lyapunov:
-    P = linalg.solve_continuous_lyapunov(loop.A.T, -Q)
+def _lyapunov_equation(A: Array) -> Callable[[Array], Array]:
+    """What gives the P of A' P + P A = -Q for a Q; by Bartels and Stewart, A's Schur form once for all of them."""
+    T, U = linalg.schur(A.T, output="real")
+
+    def solution(Q: Array) -> Array:
+        y, scale, info = linalg.lapack.dtrsyl(T, T, -U.T @ Q @ U, tranb="T")
+        if info < 0:
+            raise np.linalg.LinAlgError("the Lyapunov equation has no solution")
+        return np.asarray(scale * (U @ y @ U.T))
+
+    return solution
+
+
+def _lyapunov(name: str, loop: TranslationalLoop, Q: Array, P: Array) -> Lyapunov:
     lambda_Q = float(np.linalg.eigvalsh(Q)[0])
     c_3 = 2.0 * float(np.linalg.norm(P @ loop.B_d @ loop.B, 2))
     return Lyapunov(name, lambda_Q, P, c_3, float(np.linalg.norm(P @ loop.B_d, 2)), lambda_Q / (2.0 * c_3 * loop.K_max))

@@ -6,14 +6,18 @@ from typing import NamedTuple
 import numpy as np
 from scipy import linalg
 
-from cablequad.control.design import Design, loop_gains, sampled_loop, state_space, undelayed
+from cablequad.control.design import Design, SampledLoop, loop_gains, sampled_loop, undelayed
+from cablequad.control.riccati import DOUBLINGS
 from cablequad.model.attitude import Airframe
-from cablequad.model.controllability import coordinate_names
+from cablequad.model.controllability import coordinate_names, squared_frequencies
 from cablequad.model.linear import linearize
 from cablequad.model.system import System
 from cablequad.types import Array
 
-LOSS_BISECTIONS, MOMENT_STEPS = 7, 300
+LOSS_BISECTIONS = 7
+FIRST_STEPS, MORE_STEPS = 240, 80  # that second moments are followed, from rest and from a share of losses nearby
+SAME = 1e-5  # of the fastest: poles this close are one
+AT_ONCE = 64  # frequencies
 WEAK = 1e-3  # a mode whose PBH margin is below this share of the largest is called weakly controllable
 
 
@@ -45,20 +49,42 @@ def modes(system: System) -> list[LinearMode]:
     The motion is the one that the forces reach least at that pole: M^-1 times the velocity part of the left singular
     vector of the smallest singular value.
     """
-    A, B = state_space(system)
-    M, _, _ = linearize(system)
-    D = len(M)
+    M, G, B = linearize(system)
+    N, reach = (np.asarray(np.linalg.solve(M, right), dtype=float) for right in (G, B))
     names = coordinate_names(system)
-    scale = max(1.0, float(np.abs(np.linalg.eigvals(A)).max()))
-    out: list[LinearMode] = []
-    for value in sorted(np.linalg.eigvals(A), key=lambda v: (abs(v), v.real)):
-        pole = 0.0 if abs(value) < 1e-5 * scale else value  # rigid motion: defective poles come out as its root
-        if value.imag < 0 or any(abs(pole - mode.pole) < 1e-5 * scale for mode in out):
-            continue
-        left, sizes, _ = np.linalg.svd(np.hstack([A - pole * np.eye(2 * D), B.astype(complex)]))
-        reached_least = np.abs(np.linalg.solve(M, left[D:, -1]))
-        out.append(LinearMode(complex(pole), float(sizes[-1]), names[int(np.argmax(reached_least))]))
+    roots = np.emath.sqrt(-squared_frequencies(system).astype(complex))
+    scale = max(1.0, float(np.abs(roots).max()))
+    poles: list[complex] = []
+    for root in sorted(np.concatenate([roots, -roots[roots.real > 0.0]]), key=lambda v: (abs(v), v.real)):
+        pole = 0.0 if abs(root) < SAME * scale else complex(root.real, abs(root.imag))
+        if not poles or min(abs(pole - known) for known in poles) >= SAME * scale:
+            poles.append(pole)
+    out = []
+    for pole in poles:
+        pbh, r = _least_reached(N, reach, pole)
+        out.append(LinearMode(complex(pole), pbh, names[int(np.argmax(np.abs(np.linalg.solve(M, r))))]))
     return sorted(out, key=lambda mode: mode.pbh)
+
+
+def _least_reached(N: Array, reach: Array, pole: complex) -> tuple[float, Array]:
+    """The smallest singular value of [A - pole I, B], and the velocity part of its left singular vector.
+
+    A = [0 I; -N 0], B = [0; reach], and a real or an imaginary pole. For a velocity part r the position part that
+    makes x* [A - pole I, B] smallest, but for the square of the result, leaves D real rows to look at:
+    |(N' + pole^2) r|^2 / (1 + |pole|^2) + |reach' r|^2 against |r|^2 and that part's square.
+    """
+    D, square = len(N), (pole * pole).real
+    size = 1.0 + abs(pole) ** 2
+    beside = abs(pole) * (N.T - np.sign(square) * np.eye(D)) / size
+    rows = np.vstack([(N.T + square * np.eye(D)) / np.sqrt(size), reach.T])
+    L = np.linalg.cholesky(np.eye(D) + beside.T @ beside)
+    _, sizes, directions = np.linalg.svd(linalg.solve_triangular(L, rows.T, lower=True).T, full_matrices=False)
+    pbh = float(sizes[-1])
+    if pbh * pbh > 1e-4 * size:
+        A = np.block([[-pole * np.eye(D), np.eye(D)], [-N, -pole * np.eye(D)]])
+        left, sizes, _ = np.linalg.svd(np.hstack([A, np.vstack([np.zeros_like(reach), reach])]))
+        return float(sizes[-1]), left[D:, -1]
+    return pbh, linalg.solve_triangular(L, directions[-1], lower=True, trans="T")
 
 
 def closed_loop_poles(design: Design, airframe: Airframe, period: float, delay: int) -> Array:
@@ -75,15 +101,14 @@ def margins(design: Design, airframe: Airframe, period: float, delay: int) -> Ma
     if np.abs(np.linalg.eigvals(A - B @ K)).max() >= 1:
         return Margins(1.0, 1.0, 0.0, 0.0, "the loop itself is unstable", 0.0, (1.0, 1.0), 0.0, -1)
     w = _frequencies(design.system, period)
-    T, Z = linalg.schur(A, output="complex")  # one triangular solve a frequency
-    B_T, K_T, I = Z.conj().T @ B, K @ Z, np.eye(len(A))
-    S = np.empty((len(w), m, m), dtype=complex)
-    for k, z in enumerate(np.exp(1j * w * period)):
-        S[k] = np.linalg.inv(np.eye(m) + K_T @ linalg.solve_triangular(z * I - T, B_T, check_finite=False))
+    z = np.exp(1j * w * period)
+    S = np.concatenate(
+        [np.linalg.inv(np.eye(m) + _loop_gain(loop, K, z[k : k + AT_ONCE])) for k in range(0, len(z), AT_ONCE)]
+    )
     names = [f"vehicle {i + 1} {axis}" for i in range(m // 3) for axis in "xyz"]
     per_input = [_siso(1.0 / S[:, i, i] - 1.0, w) for i in range(m)]
     worst = int(np.argmin([p[2] for p in per_input]))
-    disk = min(2.0 * (1 - 1e-9), 1.0 / max(float(np.linalg.norm(S_w - 0.5 * np.eye(m), 2)) for S_w in S))
+    disk = min(2.0 * (1 - 1e-9), 1.0 / float(np.linalg.norm(S - 0.5 * np.eye(m), 2, axis=(1, 2)).max()))
     factor, phase = (2.0 + disk) / (2.0 - disk), 2.0 * np.degrees(np.arctan(0.5 * disk))
     up = min(p[0] for p in per_input)
     down = max(p[1] for p in per_input)
@@ -92,6 +117,29 @@ def margins(design: Design, airframe: Airframe, period: float, delay: int) -> Ma
     return Margins(
         up, down, per_input[worst][2], delay_ms, names[worst], float(disk), (1 / factor, factor), float(phase), extra
     )
+
+
+def _loop_gain(loop: SampledLoop, K: Array, z: Array) -> Array:
+    """(w, m, m): K (z I - A)^-1 B at each z (w,), by the loop's parts.
+
+    What is under way and the attitudes move by themselves, each mode by those, and the integrals by the modes.
+    """
+    A, B = loop.A, loop.B
+    m = B.shape[1]
+    attitudes = 4 * m // 3
+    S, r = len(loop.onto), len(loop.rows)
+    k = (S - attitudes) // 2
+    driving = np.concatenate([np.arange(2 * k, S), np.arange(S + r, len(A))])
+    eye = np.eye(len(driving))
+    given = np.linalg.solve(z[:, None, None] * eye - A[np.ix_(driving, driving)], B[driving])
+    pushed = A[: 2 * k, driving] @ given + B[: 2 * k]
+    x, v, d = pushed[:, :k], pushed[:, k:], np.arange(k)
+    a, b, c, e = (entry[:, None] for entry in (A[d, d], A[d, k + d], A[k + d, d], A[k + d, k + d]))
+    at = z[:, None, None]
+    moved = np.concatenate([(at - e) * x + b * v, c * x + (at - a) * v], axis=1)
+    moved /= np.concatenate([(at - a) * (at - e) - b * c] * 2, axis=1)
+    summed = (A[S : S + r, : 2 * k] @ moved + A[S : S + r, driving] @ given + B[S : S + r]) / (at - 1.0)
+    return np.asarray(K[:, : 2 * k] @ moved + K[:, driving] @ given + K[:, S : S + r] @ summed)
 
 
 def largest_loss(design: Design, airframe: Airframe, period: float, delay: int) -> float:
@@ -107,15 +155,18 @@ def largest_loss(design: Design, airframe: Airframe, period: float, delay: int) 
         return 0.0
     F, H = undelayed(loop, delay)
     try:
-        arrived, lost = _shrinking(*_jumps(F, H, K, delay))
+        jumps = _shrinking(*_jumps(F, H, K, delay), slice(len(F), len(F) + H.shape[1]))
     except np.linalg.LinAlgError:  # it does not shrink even where everything arrives
         return 0.0
     low, high = 0.0, 0.99
-    if not _grows(arrived, lost, high):
+    X = np.eye(len(jumps[0]))
+    X, growth = _followed(*jumps, high, X, FIRST_STEPS)
+    if growth <= 0.0:
         return high
     for _ in range(LOSS_BISECTIONS):
         middle = 0.5 * (low + high)
-        low, high = (low, middle) if _grows(arrived, lost, middle) else (middle, high)
+        X, growth = _followed(*jumps, middle, X, MORE_STEPS)
+        low, high = (low, middle) if growth > 0.0 else (middle, high)
     return low
 
 
@@ -145,24 +196,45 @@ def _jumps(F: Array, H: Array, K: Array, delay: int) -> tuple[Array, Array]:
     return both[0], both[1]
 
 
-def _shrinking(arrived: Array, lost: Array) -> tuple[Array, Array]:
-    """Both in coordinates in which `arrived` makes every state smaller: growth is seen as soon as it sets in."""
-    L = linalg.cholesky(linalg.solve_discrete_lyapunov(arrived.T, np.eye(len(arrived))), lower=False)
+def _shrinking(arrived: Array, lost: Array, differ: slice) -> tuple[Array, Array, Array]:
+    """`arrived` in coordinates in which it makes every state smaller: growth is seen as soon as it sets in.
+
+    Then the two factors of what `lost` is more, in the rows `differ`.
+    """
+    L = linalg.cholesky(_doubled_sum(arrived), lower=False)
     back = linalg.solve_triangular(L, np.eye(len(L)))
-    return L @ arrived @ back, L @ lost @ back
+    return L @ arrived @ back, L[:, differ], (lost - arrived)[differ] @ back
 
 
-def _grows(arrived: Array, lost: Array, p: float) -> bool:
-    """Whether second moments grow at a share p of losses, by following them for long enough to see."""
-    X = np.eye(len(arrived))
+def _doubled_sum(A: Array) -> Array:
+    """P = A' P A + I, by doubling the horizon. Raises LinAlgError where A does not shrink."""
+    P, power = np.eye(len(A)), A
+    for _ in range(DOUBLINGS):
+        more = power.T @ P @ power
+        P = P + 0.5 * (more + more.T)
+        power = power @ power
+        if not np.all(np.isfinite(more)):
+            break
+        if np.abs(more).max() <= 1e-12 * np.abs(P).max():
+            return P
+    raise np.linalg.LinAlgError("the sum over all time does not end")
+
+
+def _followed(arrived: Array, left: Array, right: Array, p: float, X: Array, steps: int) -> tuple[Array, float]:
+    """The second moments X at a share p of losses some steps later, of trace 1, and the logarithm of their growth
+
+    in the second half of these. `lost` is `arrived` + left right.
+    """
     size = 0.0
-    for k in range(MOMENT_STEPS):
-        X = (1.0 - p) * (arrived @ X @ arrived.T) + p * (lost @ X @ lost.T)
+    for k in range(steps):
+        on = arrived @ X
+        more, across = right @ X, p * (on @ right.T)
+        X = on @ arrived.T + across @ left.T + left @ (across.T + p * (more @ right.T) @ left.T)
         trace = float(np.trace(X))
         X /= trace
-        if k >= MOMENT_STEPS // 2:
+        if k >= steps // 2:
             size += np.log(trace)
-    return size > 0.0
+    return 0.5 * (X + X.T), size
 
 
 def unstable_from(loop_at: Callable[[float], Array], good: float, far: float, steps: int = 30) -> float:
@@ -192,8 +264,7 @@ def mismatched(design: Design, airframe: Airframe, period: float, delay: int, sc
 
 def _frequencies(system: System, period: float) -> Array:
     """rad/s up to Nyquist, crowded around the undamped modes, where the loop gain changes fastest."""
-    A, _ = state_space(system)
-    own = np.abs(np.linalg.eigvals(A).imag)
+    own = np.sqrt(np.maximum(squared_frequencies(system), 0.0))
     own = np.unique(np.round(own[own > 1e-3], 3))
     near = np.concatenate([-np.logspace(-1, -5, 12), np.logspace(-5, -1, 12)])
     nyquist = np.pi / period

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import linalg
 
+from cablequad.control.riccati import continuous, discrete
 from cablequad.model.attitude import Airframe
 from cablequad.model.controllability import OUTPUT_AT, controllable, integrable_outputs
 from cablequad.model.linear import equilibrium, equilibrium_forces, linearize
@@ -193,19 +194,19 @@ def continuous_law(system: System, airframe: Airframe, weights: Weights, period:
 
     Raises DesignError where the linear model cannot be stabilised, EquilibriumError where there is no equilibrium.
     """
-    import control  # here, as it brings matplotlib along
-
     reached = controllable(system)
     A, B = state_space(system)
     Q, R = cost(system, weights)
     onto = linalg.block_diag(reached.coordinates, reached.coordinates)
     back = linalg.block_diag(reached.shapes, reached.shapes)
     Q = back.T @ Q @ back
+    A_r, B_r = onto @ A @ back, onto @ B
     try:
-        K = np.asarray(control.lqr(onto @ A @ back, onto @ B, 0.5 * (Q + Q.T), R)[0], dtype=float)
-    except (np.linalg.LinAlgError, ValueError, control.ControlDimension) as error:
+        X = continuous(A_r, B_r @ np.linalg.solve(R, B_r.T), 0.5 * (Q + Q.T))
+    except np.linalg.LinAlgError as error:
         raise DesignError(_none(len(system.m), str(error))) from None
-    if np.linalg.eigvals(onto @ (A @ back) - onto @ B @ K).real.max() >= 0:
+    K = np.linalg.solve(R, B_r.T @ X)
+    if np.linalg.eigvals(A_r - B_r @ K).real.max() >= 0:
         raise DesignError(_none(len(system.m), "a mode stays undamped"))
     n = len(system.m)
     U, D = 3 * n, len(A) // 2
@@ -224,8 +225,6 @@ def sampled_law(system: System, airframe: Airframe, weights: Weights, period: fl
     Its state is that of `sampled_loop`. Raises DesignError where that loop cannot be stabilised, EquilibriumError where
     there is no equilibrium.
     """
-    import control  # here, as it brings matplotlib along
-
     n = len(system.m)
     share = quick_share(system, airframe)
     loop = sampled_loop(system, airframe, period, delay)
@@ -237,9 +236,10 @@ def sampled_law(system: System, airframe: Airframe, weights: Weights, period: fl
     Q[:S, :S] = loop.back.T @ Q_x @ loop.back
     Q[S : S + k, S : S + k] = weights.integral * np.eye(k)
     try:
-        K = np.asarray(control.dlqr(loop.A, loop.B, 0.5 * (Q + Q.T), R)[0], dtype=float)
-    except (np.linalg.LinAlgError, ValueError, control.ControlDimension) as error:
+        X = discrete(loop.A, loop.B @ np.linalg.solve(R, loop.B.T), 0.5 * (Q + Q.T))
+    except np.linalg.LinAlgError as error:
         raise DesignError(_none(n, str(error))) from None
+    K = np.asarray(np.linalg.solve(R + loop.B.T @ X @ loop.B, loop.B.T @ X @ loop.A), dtype=float)
     if np.abs(np.linalg.eigvals(loop.A - loop.B @ K)).max() >= 1:
         raise DesignError(_none(n, "a mode stays undamped"))
     K_integral, integrated = np.zeros((3 * n, 6)), np.zeros(6)

@@ -13,6 +13,7 @@ from scipy import linalg
 
 from cablequad._jit import jit
 from cablequad.control.design import state_space
+from cablequad.control.riccati import discrete
 from cablequad.control.yaw_frame import frames_in_yaw_frame, in_yaw_frame, state_in_yaw_frame
 from cablequad.model import lie
 from cablequad.model.attitude import Airframe, Setpoint, fly
@@ -26,12 +27,13 @@ from cablequad.types import Array
 
 Sensing = Literal["full", "fleet", "vehicles"]
 
-VEHICLE_FORCE = 2e-3  # N^2 s: what shakes the vehicles besides what is known, white
-LOAD_FORCE = 1e-3  # N^2 s
-LOAD_MOMENT = 1e-5  # N^2 m^2 s
-CONSTANT_FORCE = 2e-3  # N^2 / s: how fast unknown forces on the vehicles change
+VEHICLE_FORCE = 2e-3  # N^2 s: what shakes a vehicle of USUAL_KG besides what is known, white; by its weight squared
+LOAD_FORCE = 1e-3  # N^2 s, of a load of USUAL_LOAD_KG
+LOAD_MOMENT = 1e-5  # N^2 m^2 s, of such a load with cables USUAL_ARM_M from its centre of mass
+CONSTANT_FORCE = 2e-3  # N^2 / s: how fast unknown forces on such vehicles and on such a load change
+USUAL_KG, USUAL_LOAD_KG, USUAL_ARM_M, USUAL_GRAVITY = 0.755, 0.5, 0.5, 9.81
 SHAKEN = 1e-3  # share of the mean that every mode gets, so that none is believed to be known for ever
-DOUBLINGS = 40
+NO_MOTION = 1e-9  # of the largest acceleration that a force gives
 TURN = 1.0  # rad^2 / s^3: what turns the vehicles besides their attitude loops
 
 
@@ -42,7 +44,7 @@ class Belief(NamedTuple):
     """What is believed of one instant."""
 
     state: State
-    force: Array  # (n, 3) N, W: on the vehicles, besides what the model knows
+    force: Array  # (n + 1, 3) N, W: on the vehicles and, last, on the load, besides what the model knows
 
 
 class Measured(NamedTuple):
@@ -66,7 +68,7 @@ class Filter(NamedTuple):
     system: System
     airframe: Airframe
     hanging: State
-    gain: Array  # (2 D + 3 n, m): corrections of x, x_dot and the vehicles' unknown forces by what was measured
+    gain: Array  # (2 D + 3 n + 3, m): corrections of x, x_dot and the unknown forces by what was measured
     turn_gain: Array  # (n, 2, 2): of a vehicle's attitude and rate by theirs
 
 
@@ -114,7 +116,7 @@ def estimator(system: System, airframe: Airframe, period: float, sensing: Sensin
     C = measured_rows(system, hanging, sensing)
     view = observable(system, C)
     sigma = Noise(*(max(a, b) for a, b in zip(noise, FLOOR, strict=True)))
-    F, Q, with_forces = _shaken(system, view, period, with_forces=sensing != "vehicles")
+    F, Q, forces = _shaken(system, view, period, with_forces=sensing != "vehicles")
     still, moving = C @ view.shapes, C @ view.shapes
     k = view.shapes.shape[1]
     H = np.zeros((2 * len(C), len(F)))
@@ -126,10 +128,9 @@ def estimator(system: System, airframe: Airframe, period: float, sensing: Sensin
     P = _steady_covariance(F, H, Q, S)
     K = np.linalg.solve(H @ P @ H.T + S, H @ P).T
     onto = linalg.block_diag(view.shapes, view.shapes)
-    gain = np.zeros((2 * len(view.shapes) + 3 * n, len(K[0])))
+    gain = np.zeros((2 * len(view.shapes) + len(forces), len(K[0])))
     gain[: 2 * len(view.shapes)] = onto @ K[: 2 * k]
-    if with_forces:
-        gain[2 * len(view.shapes) :] = K[2 * k :]
+    gain[2 * len(view.shapes) :] = forces @ K[2 * k :]
     after = onto @ (P - K @ H @ P)[: 2 * k, : 2 * k] @ onto.T
     sd = np.sqrt(np.maximum(np.diag(after), 0.0))
     deviations = {
@@ -141,9 +142,12 @@ def estimator(system: System, airframe: Airframe, period: float, sensing: Sensin
     return Estimator(Filter(system, airframe, hanging, gain, turns), sensing, view.missing, deviations)
 
 
-def _shaken(system: System, view: Modes, period: float, with_forces: bool) -> tuple[Array, Array, bool]:
-    """The sampled model of what can be observed, and the covariance that shaking adds to it in a period."""
-    n = len(system.m)
+def _shaken(system: System, view: Modes, period: float, with_forces: bool) -> tuple[Array, Array, Array]:
+    """The sampled model of what can be observed, the covariance that shaking adds to it in a period, and the unknown
+
+    constant forces in it, (3 n + 3, k): those on vehicles and load that move anything, as some only share the load
+    differently.
+    """
     A, B = state_space(system)
     M, _, _ = linearize(system)
     D = len(M)
@@ -151,21 +155,25 @@ def _shaken(system: System, view: Modes, period: float, with_forces: bool) -> tu
     onto = linalg.block_diag(view.coordinates, view.coordinates)
     back = linalg.block_diag(view.shapes, view.shapes)
     A_v, B_v = onto @ A @ back, onto @ B
-    shake = VEHICLE_FORCE * B_v @ B_v.T
-    load = np.diag([LOAD_FORCE] * 3 + [LOAD_MOMENT] * 3)
-    shake += onto @ on_load @ load @ on_load.T @ onto.T
+    gravity, arm = system.g / USUAL_GRAVITY, float(np.linalg.norm(system.rho, axis=1).mean()) / USUAL_ARM_M
+    vehicles = np.repeat((gravity * system.m / USUAL_KG) ** 2, 3)
+    load = np.full(3, (gravity * system.m0 / USUAL_LOAD_KG) ** 2)
+    shake = VEHICLE_FORCE * B_v * vehicles @ B_v.T
+    white = np.concatenate([LOAD_FORCE * load, LOAD_MOMENT * arm**2 * load])
+    shake += onto @ (on_load * white) @ on_load.T @ onto.T
     moving = np.arange(len(A_v)) >= len(A_v) // 2
     shake += np.diag(np.where(moving, SHAKEN * float(np.diag(shake)[moving].mean()), 0.0))
-    if with_forces:
-        U = 3 * n
-        A_v = np.block([[A_v, B_v], [np.zeros((U, len(A_v) + U))]])
-        shake = linalg.block_diag(shake, CONSTANT_FORCE * np.eye(U))
-    size = len(A_v)
+    by_force, size = np.hstack([B_v, onto @ on_load[:, :3]]), np.sqrt(np.concatenate([vehicles, load]))
+    forces = size[:, None] * linalg.orth((by_force * size).T, rcond=NO_MOTION)[:, : (None if with_forces else 0)]
+    U = forces.shape[1]
+    A_v = np.block([[A_v, by_force @ forces], [np.zeros((U, len(A_v) + U))]])
+    shake = linalg.block_diag(shake, CONSTANT_FORCE * np.eye(U))
+    N = len(A_v)
     # Van Loan: F and the covariance of what white noise adds over a period
-    doubled = linalg.expm(period * np.block([[-A_v, shake], [np.zeros((size, size)), A_v.T]]))
-    F = doubled[size:, size:].T
-    Q = F @ doubled[:size, size:]
-    return F, 0.5 * (Q + Q.T), with_forces
+    doubled = linalg.expm(period * np.block([[-A_v, shake], [np.zeros((N, N)), A_v.T]]))
+    F = doubled[N:, N:].T
+    Q = F @ doubled[:N, N:]
+    return F, 0.5 * (Q + Q.T), forces
 
 
 def _turn_gain(airframe: Airframe, i: int, period: float, sigma: Noise) -> Array:
@@ -178,20 +186,8 @@ def _turn_gain(airframe: Airframe, i: int, period: float, sigma: Noise) -> Array
 
 
 def _steady_covariance(F: Array, H: Array, Q: Array, S: Array) -> Array:
-    """The covariance before a measurement once the filter has settled, P = F (P - P H'(H P H' + S)^-1 H P) F' + Q.
-
-    By doubling the horizon (Anderson & Moore, Optimal Filtering, 6.7): cable modes that nothing damps and hardly
-    anything shakes leave poles so close to the circle that solvers of the pencil, `control.dlqe` among them, refuse.
-    """
-    a, b, c = F.T, H.T @ np.linalg.solve(S, H), Q
-    one = np.eye(len(F))
-    for _ in range(DOUBLINGS):
-        inverse = np.linalg.inv(one + b @ c)
-        a, b, c, before = a @ inverse @ a, b + a @ inverse @ b @ a.T, c + a.T @ c @ inverse @ a, c
-        c, b = 0.5 * (c + c.T), 0.5 * (b + b.T)
-        if np.abs(c - before).max() <= 1e-9 * np.abs(c).max():
-            break
-    return c
+    """The covariance before a measurement once the filter has settled, P = F (P - P H'(H P H' + S)^-1 H P) F' + Q."""
+    return discrete(F.T, H.T @ np.linalg.solve(S, H), Q)
 
 
 def first_belief(filter: Filter, measured: Measured) -> Belief | None:
@@ -216,7 +212,7 @@ def first_belief(filter: Filter, measured: Measured) -> Belief | None:
         if size > 1e-3 and np.all(np.isfinite(measured.x0)):
             s.q[i, : system.n_links[i]] = line / size
     s = s._replace(R=measured.R.copy(), Omega=np.where(np.isfinite(measured.Omega), measured.Omega, 0.0))
-    return Belief(s, np.zeros((n, 3)))
+    return Belief(s, np.zeros((n + 1, 3)))
 
 
 @jit
@@ -227,7 +223,9 @@ def predicted(filter: Filter, belief: Belief, setpoint: Setpoint, h: float, step
         s.x0.copy(), s.v0.copy(), s.R0.copy(), s.Omega0.copy(), s.q.copy(), s.omega.copy(), s.R.copy(), s.Omega.copy()
     )
     work = scratch(filter.system, at)
-    work.on_vehicles[:] = belief.force
+    work.on_vehicles[:] = belief.force[:-1]
+    work.work.loaded[0] = True
+    work.work.on_payload[:] = belief.force[-1]
     fly(filter.system, filter.airframe, setpoint, at, h, steps, work)
     return Belief(at, belief.force)
 
@@ -240,10 +238,10 @@ def corrected(filter: Filter, belief: Belief, measured: Measured) -> Belief:
     yaw = np.arctan2(level[1, 0] - level[0, 1], level[0, 0] + level[1, 1])
     s = state_in_yaw_frame(belief.state, -yaw)
     y = _innovation(system, s, measured, yaw, filter.gain.shape[1])
-    D = (filter.gain.shape[0] - 3 * n) // 2
+    D = (filter.gain.shape[0] - 3 * n - 3) // 2
     d = filter.gain @ y
     moved = retract(system, s, Error(d[:D], d[D : 2 * D]))
-    force = in_yaw_frame(belief.force, -yaw) + d[2 * D :].reshape(n, 3)
+    force = in_yaw_frame(belief.force, -yaw) + d[2 * D :].reshape(n + 1, 3)
     for i in range(n):
         if np.isfinite(measured.R[i, 0, 0]):
             off = lie.log(np.ascontiguousarray(belief.state.R[i].T) @ measured.R[i])

@@ -41,16 +41,28 @@ def observable(system: System, C: Array) -> Modes:
     return _split(system, None, C)
 
 
-def _split(system: System, B: Array | None, C: Array | None) -> Modes:
-    """Modes by whether they touch the columns of B (forces) or the rows of C (measurements).
-
-    The rows of the links, multiplied by their lengths, make M and G symmetric, so modes are real and M-orthogonal.
-    """
+def _symmetric(system: System) -> tuple[Array, Array, Array]:
+    """The rows (D, 1), those of the links multiplied by their lengths, that make M and G symmetric, and both."""
     M, G, _ = linearize(system)
     lengths = [system.length[i, j] for i in range(len(system.m)) for j in range(int(system.n_links[i])) for _ in "xy"]
     rows = np.concatenate([np.ones(6), lengths])[:, None]
     M, G = rows * M, rows * G
-    squares, modes = linalg.eigh(0.5 * (G + G.T), 0.5 * (M + M.T))
+    return rows, 0.5 * (M + M.T), 0.5 * (G + G.T)
+
+
+def squared_frequencies(system: System) -> Array:
+    """(D,) rad^2/s^2, ascending: of the undamped modes of `linearize`; below zero for one that falls over."""
+    _, M, G = _symmetric(system)
+    return np.asarray(linalg.eigh(G, M, eigvals_only=True))
+
+
+def _split(system: System, B: Array | None, C: Array | None) -> Modes:
+    """Modes by whether they touch the columns of B (forces) or the rows of C (measurements).
+
+    With M and G symmetric modes are real and M-orthogonal.
+    """
+    rows, M, G = _symmetric(system)
+    squares, modes = linalg.eigh(G, M)
     excited = modes.T @ (rows * B) if B is not None else (np.asarray(C) @ modes).T
     best = float(np.linalg.norm(excited, axis=1).max())
     scale = float(np.abs(squares).max())
@@ -62,9 +74,10 @@ def _split(system: System, B: Array | None, C: Array | None) -> Modes:
         left, sizes, _ = np.linalg.svd(excited[first:k])
         reached = np.zeros(k - first, dtype=bool)
         reached[: len(sizes)] = sizes > NOTHING * best
-        family = modes[:, first:k] @ left
-        kept.append(family[:, reached])
-        lost.append(family[:, ~reached])
+        family, own = modes[:, first:k], left[:, reached]
+        _, turned = np.linalg.eigh(own.T * squares[first:k] @ own)  # of frequencies nearly equal, each by itself
+        kept.append(family @ own @ turned)
+        lost.append(family @ left[:, ~reached])
         first = k
     shapes, outside = np.hstack(kept), np.hstack(lost)
     names = coordinate_names(system)

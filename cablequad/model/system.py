@@ -13,6 +13,7 @@ import numpy.typing as npt
 from cablequad.types import Array
 
 G = 9.81  # m/s^2
+LIGHT = 1e-4  # of the lighter end of a cable: links without mass are chains of this
 
 
 class Payload(NamedTuple):
@@ -31,9 +32,13 @@ class Quadrotor(NamedTuple):
 
 
 class Cable(NamedTuple):
-    """One cable as a chain of rigid links; link 1 is at the quadrotor, the last at the payload."""
+    """One cable as a chain of rigid links; link 1 is at the quadrotor, the last at the payload.
 
-    masses: Sequence[float]  # kg, each at the payload-side end of its link
+    A chain without mass has no motion of its own where it is taut, and none that is defined where it is slack: between
+    two links there is at least `LIGHT` of the lighter end's mass, which changes what is seen by as little.
+    """
+
+    masses: Sequence[float]  # kg, each at the payload-side end of its link; 0 is allowed
     lengths: Sequence[float]  # m
 
 
@@ -76,7 +81,8 @@ class System(NamedTuple):
             if len(cable.masses) != len(cable.lengths):
                 raise ValueError(f"cable {i}: {len(cable.masses)} masses but {len(cable.lengths)} lengths")
             for j, (m_ij, l_ij) in enumerate(zip(cable.masses, cable.lengths, strict=True), start=1):
-                _positive(f"cable {i} link {j} mass", m_ij)
+                if not (np.isfinite(m_ij) and m_ij >= 0.0):
+                    raise ValueError(f"cable {i} link {j} mass: {m_ij:g} given; it must be zero or more")
                 _positive(f"cable {i} link {j} length", l_ij)
         for i, quadrotor in enumerate(quadrotors, start=1):
             _positive(f"quadrotor {i} mass", quadrotor.mass)
@@ -91,6 +97,7 @@ class System(NamedTuple):
         for i, cable in enumerate(cables):
             k = n_links[i]
             m_link[i, :k], length[i, :k] = cable.masses, cable.lengths
+            m_link[i, : k - 1] = np.maximum(m_link[i, : k - 1], LIGHT * min(m[i], payload.mass))
             node[i, 0], node[i, 1:k] = m[i], m_link[i, : k - 1]
             M_0[i, :k] = np.cumsum(node[i, :k])
         m_tied = m_link[np.arange(n), n_links - 1]
@@ -146,7 +153,7 @@ def without(system: System, lost: Sequence[int]) -> System:
 def cut_off(system: System, i: int) -> System:
     """Vehicle i with its cable, which ends in the last link's mass: half of it tied, half as a load without size."""
     k = int(system.n_links[i]) - 1
-    cable, half = _cable(system, i), 0.5 * float(system.m_link[i, k])
+    cable, half = _cable(system, i), 0.5 * max(float(system.m_link[i, k]), LIGHT * float(system.m[i]))
     point = Payload(half, [1e-6] * 3, [[0.0, 0.0, 0.0]])
     vehicle = Quadrotor(float(system.m[i]), system.J[i])
     return System.of(point, [vehicle], [Cable([*cable.masses[:-1], half], cable.lengths)], system.g)

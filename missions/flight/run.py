@@ -204,7 +204,8 @@ def _expected(flight: Flight, options: Options) -> tuple[Mapping[str, float], ..
 
 
 def _track(flight: Flight) -> Track:
-    return Track(tuple(flight.scenario.target.position_m), flight.scenario.mission is None)
+    target, ends_there = tuple(flight.scenario.target.position_m), flight.scenario.mission is None
+    return Track(target, ends_there, flight.system.n_links.tolist())
 
 
 def _wire(p: Participants, tallies: list[FaultCounts], unread: int, foreign: int) -> dict[str, int]:

@@ -16,9 +16,10 @@ from missions.scenario.tables import AcceptanceTable
 class Track:
     """Figures that accumulate while flying; only what happens between release and end counts."""
 
-    def __init__(self, target: tuple[float, ...], ends_there: bool = True) -> None:
-        """See Following."""
+    def __init__(self, target: tuple[float, ...], ends_there: bool, n_links: Sequence[int]) -> None:
+        """See Following; `n_links` of each cable."""
         self.last: Sample | None = None
+        self._links = np.arange(max(n_links)) < np.array(n_links)[:, None]
         self.following = Following(target, ends_there)
         self.max_psi = 0.0
         self.max_thrust_N = 0.0
@@ -32,13 +33,20 @@ class Track:
         s, wanted = sample.state, sample.reference.x0
         self.following.take(sample.t, s.x0.tolist(), s.v0.tolist(), wanted.tolist())
 
+    def link_error_deg(self) -> float | None:
+        """Root mean square over all links of the angle between |q_ij| and its reference, of the last decision."""
+        if self.last is None:
+            return None
+        off = np.linalg.norm((self.last.state.q - self.last.q_d)[self._links], axis=1)
+        return float(np.degrees(np.sqrt(np.mean(off**2))))
+
     def tension(self, smallest_N: float) -> None:
         """Take the smallest tension of one instant."""
         self.min_tension_N = min(self.min_tension_N, smallest_N)
 
 
 OF_THE_END = frozenset(
-    {"position_error_m", "speed_m_s", "e_q", "psi", "settling_time_s", "mean_position_error_m"}
+    {"position_error_m", "speed_m_s", "e_q", "link_error_deg", "psi", "settling_time_s", "mean_position_error_m"}
 )  # criteria that a flight can only meet at its end
 
 
@@ -70,6 +78,7 @@ class Summary(NamedTuple):
     log: str | None
     replay: str | None
     final_e_q: float | None = None
+    final_link_error_rms_deg: float | None = None  # of one link, where final_e_q is a sum over them
     final_psi: float | None = None
     flown_s: float = 0.0
     missed_deadlines: int = 0
@@ -98,6 +107,7 @@ def criteria(limits: AcceptanceTable, s: Summary) -> list[Criterion]:
         "position_error_m": s.final_position_error_m,
         "speed_m_s": s.final_speed_m_s,
         "e_q": s.final_e_q,
+        "link_error_deg": s.final_link_error_rms_deg,
         "psi": s.final_psi,
         "max_psi": s.max_psi,
         "max_thrust_N": s.max_thrust_N,
@@ -182,6 +192,7 @@ def _figures(scenario: str, k: Known) -> Summary:
         log=None,
         replay=None,
         final_e_q=None if last is None else last.e_q,
+        final_link_error_rms_deg=track.link_error_deg(),
         final_psi=None if last is None else float(last.Psi.max()),
         flown_s=0.0 if last is None else last.t,
         missed_deadlines=k.missed_deadlines,

@@ -40,7 +40,7 @@ def warm_up(design: Design, flight: Flight) -> None:
     positions(flight.system, flight.initial)
     filter = scenarios.filter(flight)
     if filter is not None:
-        belief = Belief(flight.initial.copy(), np.zeros((len(flight.system.m), 3)))
+        belief = Belief(flight.initial.copy(), np.zeros((len(flight.system.m) + 1, 3)))
         level = Setpoint.attitude(flight.initial.R, np.zeros(len(flight.system.m)))
         belief = predicted(filter, belief, level, flight.physics_us * 1e-6, 1)
         nothing = nothing_measured(flight.system)

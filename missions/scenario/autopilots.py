@@ -9,6 +9,7 @@ import numpy as np
 from cablequad.model.earth import Home, density_ratio
 from cablequad.model.linear import EquilibriumError, equilibrium, equilibrium_forces
 from cablequad.model.system import System
+from cablequad.types import Array
 from missions.scenario.loading import Flight, flight_of, known_delay_ticks
 from missions.scenario.tables import Scenario
 from sitl.firmware.personas import PERSONAS
@@ -40,14 +41,17 @@ def behind(flight: Flight, firmware: Sequence[str]) -> Flight:
         rate = table["control"]["attitude_rate"] = attitude_rate(flight, firmware)
         if rate > 1:
             notes.append(f"attitudes are asked for at {rate * s.control.rate_hz:g} Hz (control.attitude_rate = {rate})")
-    allowed = s.acceptance.e_q
-    if allowed is not None and (more := wandering(flight.system, firmware)) > 0.05 * allowed:
-        table["acceptance"]["e_q"] = round(allowed + more, 3)
-        worst = max((PERSONAS[kind].known for kind in firmware), key=lambda k: k.wander_deg)
-        notes.append(
-            f"acceptance.e_q: {allowed:g} becomes {allowed + more:.3g}, as {worst.name}'s attitude wanders "
-            f"{worst.wander_deg:g} deg"
-        )
+    off = wandering(flight.system, firmware)
+    more_of = {"e_q": float(off.sum()), "link_error_deg": math.degrees(math.sqrt(float(np.mean(off**2))))}
+    for key, more in more_of.items():
+        allowed = getattr(s.acceptance, key)
+        if allowed is not None and more > 0.05 * allowed:
+            table["acceptance"][key] = round(allowed + more, 3)
+            worst = max((PERSONAS[kind].known for kind in firmware), key=lambda k: k.wander_deg)
+            notes.append(
+                f"acceptance.{key}: {allowed:g} becomes {allowed + more:.3g}, as {worst.name}'s attitude wanders "
+                f"{worst.wander_deg:g} deg"
+            )
     flown = flight_of(Scenario.model_validate(table), flight.source, external=True)
     return flown._replace(
         trajectory=flight.trajectory, script=flight.script, script_name=flight.script_name,
@@ -86,19 +90,20 @@ def attitude_rate(flight: Flight, firmware: Sequence[str]) -> int:
     return max((k for k in range(1, max(1, rate) + 1) if flight.control_us % (1000 * k) == 0), default=1)
 
 
-def wandering(system: System, firmware: Sequence[str]) -> float:
-    """What attitudes that wander add to e_q, the sum of |q - q_d| over all links, where the load hangs at rest.
+def wandering(system: System, firmware: Sequence[str]) -> Array:
+    """(links of all cables,): what attitudes that wander add to |q - q_d| of each, where the load hangs at rest.
 
     A thrust of u N that is d rad off leans its cable by u d / T, T N its mean tension; 0 where nothing hangs at rest.
     """
     try:
         hung = equilibrium(system)
     except EquilibriumError:
-        return 0.0
+        return np.zeros(int(system.n_links.sum()))
     forces = np.linalg.norm(equilibrium_forces(system, hung), axis=1)
-    total = 0.0
+    off = []
     for i, kind in enumerate(firmware):
         links = int(system.n_links[i])
         tension = float(hung.tension[i]) + 0.5 * float(system.m_link[i, :links].sum()) * system.g
-        total += links * float(forces[i]) / max(tension, 1e-9) * math.radians(PERSONAS[kind].known.wander_deg)
-    return total
+        leaning = float(forces[i]) / max(tension, 1e-9) * math.radians(PERSONAS[kind].known.wander_deg)
+        off += [leaning] * links
+    return np.array(off)

@@ -18,6 +18,7 @@ from cablequad.model.state import State, positions
 from cablequad.model.stiffness import LEAST_STEP_US
 from cablequad.model.system import System
 from cablequad.types import Array
+from missions.scenario.limits import plan_limits
 from missions.scenario.loading import Flight
 from missions.scenario.surroundings import airborne, standing_places
 from missions.scenario.tables import PlanTable, Scenario
@@ -92,10 +93,11 @@ def _along(flight: Flight, hung: Equilibrium, forces: Array) -> Iterator[str]:
     """The plan: the load and all cables in step with it, within what vehicles give."""
     law = flight.scenario.control.law
     for t, what in _worst(flight.system, flight.airframe, flight.trajectory, hung, forces, law):
-        p = flight.scenario.plan
+        lap, g = flight.scenario.plan.lap_speed_m_s, flight.system.g
+        speed, acceleration, *_ = plan_limits(flight.scenario)
         yield (
-            f"plan: at t = {t:.1f} s {what}; speed_m_s = {p.speed_m_s:g}, acceleration_m_s2 = {p.acceleration_m_s2:g} "
-            f"and lap_speed_m_s = {p.lap_speed_m_s:g} are more than gravity ({flight.system.g:g} m/s^2) or thrust allow"
+            f"plan: at t = {t:.1f} s {what}; speed_m_s = {speed:g}, acceleration_m_s2 = {acceleration:g} and "
+            f"lap_speed_m_s = {lap:g} are more than gravity ({g:g} m/s^2) or thrust allow"
         )
         return
 

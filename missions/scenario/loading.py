@@ -14,7 +14,7 @@ from bridge.wire.link_faults import Faults
 from cablequad.control.design import Design, DesignError, Weights
 from cablequad.control.estimator import Estimator, Filter, estimator
 from cablequad.control.law import LAWS, Controller, Loop
-from cablequad.control.trajectory import Limits, Trajectory, along, at, circle, joined, leg, lemniscate, waypoints
+from cablequad.control.trajectory import Trajectory, along, at, circle, joined, leg, lemniscate, waypoints
 from cablequad.model import lie
 from cablequad.model.attitude import Airframe
 from cablequad.model.linear import EquilibriumError, equilibrium
@@ -23,6 +23,7 @@ from cablequad.model.state import State
 from cablequad.model.stiffness import STABLE, stable_substep
 from cablequad.model.system import Cable, Payload, Quadrotor, System, box_inertia
 from missions.scenario.course import SETTLE_S, CourseError, course_from, course_of
+from missions.scenario.limits import plan_limits
 from missions.scenario.script import ScriptError, read_script, scenario_of, script_from
 from missions.scenario.surroundings import airborne, around, lay_out
 from missions.scenario.tables import FaultTable, OneVehicleTable, Scenario, TargetTable
@@ -182,7 +183,7 @@ def restored(resolved: str, source: str, script: str | None) -> Flight:
             return flight
         if flight.scenario.mission is not None:
             return _programmed(flight, script)
-        start, at_most = _start(flight.scenario, flight.initial, flight.system), limits(flight.scenario)
+        start, at_most = _start(flight.scenario, flight.initial, flight.system), plan_limits(flight.scenario)
         return flight._replace(trajectory=course_from(script, "mission.py", start, at_most), script=script)
     except ValidationError as error:
         raise ScenarioError(_explain(error)) from None
@@ -199,7 +200,7 @@ def _programmed(flight: Flight, program: str) -> Flight:
 
 def _by_script(flight: Flight, script: Path, duration_s: float | None) -> Flight:
     s = flight.scenario
-    course = course_of(script, _start(s, flight.initial, flight.system), limits(s))
+    course = course_of(script, _start(s, flight.initial, flight.system), plan_limits(s))
     end = at(course, course.duration)
     target = TargetTable(position_m=end.x0.tolist(), yaw_deg=math.degrees(float(end.yaw[0])))
     seconds = duration_s if duration_s is not None else math.ceil(course.duration + SETTLE_S)
@@ -408,6 +409,10 @@ def _steps(s: Scenario, system: System, airframe: Airframe) -> tuple[tuple[int, 
     truth_us = _truth_us(s, physics_us, tick_us)
     stiff = f"physics step {physics_us} us instead of {asked_us} us: the stiffest link mode needs it"
     notes = [stiff] if physics_us != asked_us else []
+    chains = [(v.cable or s.cable).link_masses_kg for v in s.vehicles]
+    lighter = {flown for i, c in enumerate(chains) for m, flown in zip(c, system.m_link[i], strict=False) if m < flown}
+    if lighter:
+        notes.append(f"links lighter than {1e3 * max(lighter):.2g} g are flown as that: as good as without mass")
     fastest = float(airframe.bandwidth.max())
     if fastest * physics_us * 1e-6 > STABLE:
         raise ValueError(
@@ -451,12 +456,6 @@ def _truth_us(s: Scenario, physics_us: int, tick_us: int) -> int:
     return round(asked)
 
 
-def limits(s: Scenario) -> Limits:
-    """How fast the load is carried."""
-    p = s.plan
-    return Limits(p.speed_m_s, p.acceleration_m_s2, p.jerk_m_s3, math.radians(p.yaw_rate_deg_s))
-
-
 def _start(s: Scenario, initial: State, system: System) -> list[float]:
     """Where the load begins (m) and how it is yawed from how it hangs (rad)."""
     turned = initial.R0 @ _hanging(system).T
@@ -471,7 +470,7 @@ def _trajectory(s: Scenario, system: System, initial: State) -> Trajectory:
 def route(s: Scenario, start: list[float], end: list[float]) -> Trajectory:
     """From x, y, z (m) and yaw (rad) to such a place by what [plan] says."""
     p = s.plan
-    at_most = limits(s)
+    at_most = plan_limits(s)
     if p.path == "target":
         return leg(start, end, at_most)
     if p.path == "waypoints":

@@ -18,6 +18,7 @@ from cablequad.model.attitude import Airframe
 from cablequad.model.linear import EquilibriumError, equilibrium
 from cablequad.model.system import without
 from missions.scenario import loading as scenarios
+from missions.scenario.limits import plan_limits
 from missions.scenario.loading import Flight
 from missions.scenario.metrics import Grounded, Standing
 from missions.scenario.script import script_from
@@ -127,7 +128,7 @@ def plan_of(flight: Flight) -> MissionPlan:
     limits = {phase: m.limits_s[phase.value] for phase in Phase if phase.value in m.limits_s}
     scale = scale_of_flight(flight)
     return MissionPlan(
-        rest, stands, hangs, target, route, scenarios.limits(s), m.lift_m, m.slack, m.pretension,
+        rest, stands, hangs, target, route, plan_limits(s), m.lift_m, m.slack, m.pretension,
         m.lift_speed_m_s or scale.lift_m_s, m.set_down_speed_m_s or scale.set_down_m_s,
         m.take_off_speed_m_s or scale.take_off_m_s, limits, guards(flight), fence(flight), m.battery,
         m.hooks, m.protect, m.start == "air", m.hold_s, scale,

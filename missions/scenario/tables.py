@@ -45,7 +45,7 @@ class PayloadTable(_Table):
 class CableTable(_Table):
     """[cable]"""
 
-    link_masses_kg: Annotated[list[Positive], Field(min_length=1)]
+    link_masses_kg: Annotated[list[NotNegative], Field(min_length=1)]  # 0: without mass
     link_lengths_m: Annotated[list[Annotated[Positive, Field(ge=1e-3)]], Field(min_length=1)]
     drag_area_m2: NotNegative = 0.0  # C_d A of the whole cable, in wind
 
@@ -138,9 +138,9 @@ class PlanTable(_Table):
 
     path: Literal["target", "waypoints", "circle", "lemniscate"] = "target"
     speed_m_s: Positive = Limits().speed
-    acceleration_m_s2: Positive = Limits().acceleration
-    jerk_m_s3: Positive = Limits().jerk
-    yaw_rate_deg_s: Positive = math.degrees(Limits().yaw_rate)
+    acceleration_m_s2: Positive | None = None  # left out: what gravity and thrust allow, 1.5 on Earth
+    jerk_m_s3: Positive | None = None  # left out: 5, less for less acceleration and for cables beyond 0.75 m
+    yaw_rate_deg_s: Positive | None = None  # left out: 28.6, slower for cables beyond 0.75 m
     waypoints_m: list[Vector] = []  # on the way to the target
     waypoint_yaws_deg: list[Real] = []  # one for each; left out: 0
     hold_s: NotNegative = 0.0  # at each waypoint
@@ -324,7 +324,8 @@ class AcceptanceTable(_Table):
 
     position_error_m: Positive | None = None
     speed_m_s: Positive | None = None
-    e_q: Positive | None = None
+    e_q: Positive | None = None  # sum over all links, as in the paper's figures
+    link_error_deg: Positive | None = None  # rms over the links of how far each is from its reference
     psi: Positive | None = None
     max_psi: Positive | None = None
     max_thrust_N: Positive | None = None
