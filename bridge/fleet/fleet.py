@@ -96,7 +96,6 @@ class Fleet:
         A flight begins when all carry themselves, a mission from the ground when all are armed. Without cables
         measured, positions are in the loop.
         """
-        self.n = len(max_thrust_N)
         self.failure: str | None = None
         self.incomplete = ""  # what keeps the state from being whole, in words
         self.released_at: float | None = None
@@ -145,6 +144,11 @@ class Fleet:
     def place(self, i: int) -> Array | None:
         """Where vehicle i (from 0) said last that it is, (3,) m, W; a lost one goes on saying so."""
         return self._vehicles[i].place
+
+    @property
+    def n(self) -> int:
+        """How many vehicles there are."""
+        return len(self._vehicles)
 
     @property
     def batteries(self) -> list[float]:
@@ -205,7 +209,7 @@ class Fleet:
             if isinstance(value, LandedState):
                 self._heard.on_stands = value.landed != IN_AIR
                 self._begin_in_air(now)
-        if not 1 <= source <= self.n or component != 1:
+        if not 1 <= source <= len(self._vehicles) or component != 1:
             return
         v = self._vehicles[source - 1]
         v.heard_at = now

@@ -93,7 +93,6 @@ class StateAssembler:
     def __init__(self, loop: LoopModel) -> None:
         self._loop = loop
         self._links_of: list[int] = loop.system.n_links.tolist()
-        self._n = len(self._links_of)
         apart = 1 if loop.attitude_rate == 1 else self._n  # each at a time of its own
         self._kept = KEPT * loop.attitude_rate * apart
         self._hanging = np.tile((0.0, 0.0, 1.0, 0.0, 0.0, 0.0), (*loop.system.length.shape, 1))
@@ -109,6 +108,10 @@ class StateAssembler:
         self._begun = False
         self._last = _LastReports(self._n)
 
+    @property
+    def _n(self) -> int:
+        return len(self._links_of)
+
     def inherit(self, before: "StateAssembler", rest: list[int]) -> None:
         """Know what `before` was told last by those of its vehicles (from 0) that are left: the silent say no more."""
         self._last.load = before._last.load
@@ -120,12 +123,13 @@ class StateAssembler:
 
     def feed(self, source: int, value: object) -> None:
         """Take one value from the vehicle with system id `source`, or from the tracker."""
+        n = len(self._links_of)
         match value:
-            case VehicleAttitude() if 1 <= source <= self._n:
+            case VehicleAttitude() if 1 <= source <= n:
                 parts = self._of(value.boot_ms)
                 parts.attitudes[source - 1] = self._last.R[source - 1] = value
                 parts.frames[source - 1] = value.frame
-            case VehiclePosition() if 1 <= source <= self._n:
+            case VehiclePosition() if 1 <= source <= n:
                 self._of(value.boot_ms).positions[source - 1] = value
                 if (
                     value.boot_ms > self._last.at_ms[source - 1]
@@ -133,9 +137,9 @@ class StateAssembler:
                 ):
                     self._last.at_ms[source - 1] = value.boot_ms
                     self._last.x[source - 1], self._last.v[source - 1] = value.x, value.v
-            case PayloadState() if source > self._n and self._loop.sensing != "vehicles":
+            case PayloadState() if source > n and self._loop.sensing != "vehicles":
                 self._of(value.boot_us // 1000).payload = self._last.load = value
-            case CableShape() if source > self._n and self._loop.sensing == "full":
+            case CableShape() if source > n and self._loop.sensing == "full":
                 self._cable(value)
             case _:
                 pass

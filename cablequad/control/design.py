@@ -219,6 +219,18 @@ def continuous_law(system: System, airframe: Airframe, weights: Weights, period:
     )
 
 
+def sampled_cost(system: System, airframe: Airframe, weights: Weights, loop: SampledLoop) -> tuple[Array, Array]:
+    """(Q, R) of the quadratic cost on the states of `loop` and the forces."""
+    n, S, k = len(system.m), len(loop.onto), len(loop.rows)
+    share = quick_share(system, airframe)
+    adapted = weights._replace(link_direction=share * weights.link_direction, link_rate=share * weights.link_rate)
+    Q_x, R = cost(system, adapted)
+    Q = np.zeros_like(loop.A)
+    Q[:S, :S] = loop.back.T @ linalg.block_diag(Q_x, np.zeros((4 * n, 4 * n))) @ loop.back
+    Q[S : S + k, S : S + k] = weights.integral * np.eye(k)
+    return 0.5 * (Q + Q.T), R
+
+
 def sampled_law(system: System, airframe: Airframe, weights: Weights, period: float, delay: int) -> Design:
     """The law for a loop sampled every `period` s whose commands act `delay` ticks later through the attitude loops.
 
@@ -226,17 +238,11 @@ def sampled_law(system: System, airframe: Airframe, weights: Weights, period: fl
     there is no equilibrium.
     """
     n = len(system.m)
-    share = quick_share(system, airframe)
     loop = sampled_loop(system, airframe, period, delay)
-    adapted = weights._replace(link_direction=share * weights.link_direction, link_rate=share * weights.link_rate)
-    Q_x, R = cost(system, adapted)
+    Q, R = sampled_cost(system, airframe, weights, loop)
     S, k = len(loop.onto), len(loop.rows)
-    Q_x = linalg.block_diag(Q_x, np.zeros((4 * n, 4 * n)))
-    Q = np.zeros_like(loop.A)
-    Q[:S, :S] = loop.back.T @ Q_x @ loop.back
-    Q[S : S + k, S : S + k] = weights.integral * np.eye(k)
     try:
-        X = discrete(loop.A, loop.B @ np.linalg.solve(R, loop.B.T), 0.5 * (Q + Q.T))
+        X = discrete(loop.A, loop.B @ np.linalg.solve(R, loop.B.T), Q)
     except np.linalg.LinAlgError as error:
         raise DesignError(_none(n, str(error))) from None
     K = np.asarray(np.linalg.solve(R + loop.B.T @ X @ loop.B, loop.B.T @ X @ loop.A), dtype=float)
@@ -244,9 +250,9 @@ def sampled_law(system: System, airframe: Airframe, weights: Weights, period: fl
         raise DesignError(_none(n, "a mode stays undamped"))
     K_integral, integrated = np.zeros((3 * n, 6)), np.zeros(6)
     K_integral[:, loop.rows], integrated[loop.rows] = K[:, S : S + k], 1.0
-    D = len(Q_x) // 2 - 2 * n
+    D = loop.onto.shape[1] // 2 - 2 * n
     gains = [*np.split(K[:, :S] @ loop.onto, np.cumsum([D, D, 2 * n]), axis=1), K[:, S + k :], K_integral]
-    swing_damping = _swing_damping(system, airframe, share, period)
+    swing_damping = _swing_damping(system, airframe, quick_share(system, airframe), period)
     authority = _authority(system, airframe)
     return _design(
         system, airframe, period, delay, gains, integrated=integrated, authority=authority, swing_damping=swing_damping

@@ -13,7 +13,7 @@ from cablequad.analysis.certificate import Certificate, attitude_gains, certify,
 from cablequad.analysis.margins import WEAK, closed_loop_poles, largest_loss, margins, modes
 from cablequad.analysis.rollout import LoopTiming, rollout
 from cablequad.control.control_step import Sample
-from cablequad.control.design import Design, Weights
+from cablequad.control.design import Design, Weights, loop_gains, sampled_cost, sampled_loop
 from cablequad.control.law import LAWS
 from cablequad.control.trajectory import Reference, at
 from cablequad.model import lie
@@ -28,6 +28,7 @@ from missions.scenario.loading import Flight
 
 SETTLE_S, SETTLED_M, SETTLED_TILT = 15.0, 0.05, 0.02
 BISECTIONS = 7
+JUDGED_STATES = 200  # up to which `control.dlqr` takes about a second
 FORCE_FACTORS = (0.1, 1.0, 10.0, 100.0, 1000.0, 10000.0)
 
 
@@ -93,6 +94,7 @@ def check(flight: Flight, quick: bool, tell: Callable[[str], None] = lambda _: N
         "gains": {
             "K_x_norm": float(np.linalg.norm(design.K_x, 2)),
             "K_xdot_norm": float(np.linalg.norm(design.K_xdot, 2)),
+            "difference_to_dlqr": _difference_to_dlqr(design, flight),
         },
         "closed_loop": {
             "spectral_radius": float(np.abs(poles).max()),
@@ -119,6 +121,22 @@ def check(flight: Flight, quick: bool, tell: Callable[[str], None] = lambda _: N
 def _paper_law(flight: Flight, weights: Weights) -> Design:
     loop = scenarios.designed_for(flight, flight.airframe)
     return LAWS["paper"].design(flight.system, loop._replace(weights=weights))
+
+
+def _difference_to_dlqr(design: Design, flight: Flight) -> float | None:
+    """How far, in relation, the gains are from those of `control.dlqr`; None for another law, or beyond its sizes."""
+    period, delay = flight.control_us * 1e-6, flight.scenario.control.delay_ticks
+    loop = sampled_loop(design.system, flight.airframe, period, delay)
+    if flight.scenario.control.law != "sampled" or len(loop.A) > JUDGED_STATES:
+        return None
+    import control  # here, as it takes a second
+
+    Q, R = sampled_cost(design.system, flight.airframe, scenarios.weights(flight), loop)
+    try:
+        K = control.dlqr(loop.A, loop.B, Q, R)[0]
+    except (np.linalg.LinAlgError, ValueError, control.ControlDimension):  # poles too near to the circle for it
+        return None
+    return float(np.linalg.norm(loop_gains(design, loop) - K) / np.linalg.norm(K))
 
 
 def _nominal(design: Design, flight: Flight) -> list[Sample]:
@@ -349,7 +367,9 @@ def show(result: dict[str, Any], console: Console) -> None:
         table.add_row(pole, f"{mode['pbh']:.2e}", mode["motion"], "weakly controllable" if mode["weak"] else "")
     console.print(table)
     console.print(f"every mode controllable: {'yes' if result['controllable'] else 'NO'}")
-    slow = c["slowest_time_constant_s"]
+    slow, apart = c["slowest_time_constant_s"], result["gains"]["difference_to_dlqr"]
+    if apart is not None:
+        console.print(f"gains: as control.dlqr has them, but for {apart:.0e}")
     console.print(
         f"closed loop as flown: spectral radius {c['spectral_radius']:.6f}, "
         + (f"slowest time constant {slow:.2f} s, " if slow is not None else "[bold]unstable[/bold], ")
