@@ -45,8 +45,10 @@ class Server:
         onboard = places(firmware, s.port_offset, s.host)
         trackers = () if s.untethered else tracker_endpoints(s.port_offset, s.host)
         signer = Signer(s.signing_key, s.accept_unsigned_telemetry) if s.signing_key is not None else None
-        self.link = Link([*(place.endpoint for place in onboard), *trackers], signer, network)
-        self.link.reliable = s.lockstep and s.await_controller and network is None
+        ours = s.lockstep and s.await_controller  # nobody but our controller decides when time goes on
+        epoch_s = s.home.epoch_s if ours else None
+        self.link = Link([*(place.endpoint for place in onboard), *trackers], signer, network, epoch_s)
+        self.link.reliable = ours and network is None
         self.links = VehicleLinks(self.link, onboard, s)
         self._tracker_port = len(onboard)
         ports = (self._tracker_port, self._tracker_port + 1)
@@ -147,6 +149,7 @@ class Server:
         """
         s, now = self.settings, self.now_us
         truth, own = self._coming
+        self.link.advance(now)
         self.link.flush()
         self._answers.begin()
         if truth is not None:

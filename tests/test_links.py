@@ -11,7 +11,7 @@ import pytest
 from conftest import Command, cablequad, flown, wait_for_line
 
 from bridge.wire.dialect import mavlink
-from bridge.wire.frames import Signer, frame
+from bridge.wire.frames import SIGNING_EPOCH_S, Signer, frame
 from bridge.wire.link import Endpoint, Link
 from bridge.wire.messages import encode
 from bridge.wire.signing_keys import read_key
@@ -127,14 +127,22 @@ def test_a_signed_fleet_is_flown_with_the_key_alone(tmp_path: Path, offset: int)
     key = tmp_path / "key"
     assert cablequad("signing-key", str(key))[0] == 0
     assert key.stat().st_mode & 0o077 == 0
-    s = flown("--signing-key", str(key), "--no-replay", "--duration", "2", "--out", str(tmp_path),
-              "--port-offset", str(offset), sockets=True)  # fmt: skip
-    assert s["flown_s"] == pytest.approx(2.0)
-    frames = [pb.MavlinkFrame.FromString(e.data).frame for e in entries(Path(s["log"])) if "/mavlink/" in e.topic]
+    logs = []
+    for sockets in (True, False):
+        s = flown("--signing-key", str(key), "--no-replay", "--duration", "2", "--out", str(tmp_path / str(sockets)),
+                  "--port-offset", str(offset), sockets=sockets)  # fmt: skip
+        assert s["flown_s"] == pytest.approx(2.0)
+        logs.append([(e.topic, e.log_time, e.data) for e in entries(Path(s["log"])) if e.topic != "/perf"])
+    frames = [pb.MavlinkFrame.FromString(data).frame for topic, _, data in logs[0] if "/mavlink/" in topic]
     assert len(frames) > 5000
     assert all(
         whole[0] == 0xFD and whole[2] & 1 for whole in frames
     )  # every one of them, both ways, carries a signature
+    assert logs[0] == logs[1]  # signatures are dated by simulated time
+    stamps = [int.from_bytes(whole[-12:-6], "little") for whole in frames]
+    since_2015_s = 1_700_000_000 - SIGNING_EPOCH_S
+    assert since_2015_s <= min(stamps) * 1e-5
+    assert max(stamps) * 1e-5 < since_2015_s + 20.0
 
 
 def test_commands_without_the_key_are_refused_and_counted(tmp_path: Path, offset: int) -> None:

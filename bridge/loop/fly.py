@@ -267,6 +267,7 @@ class _Flight:
         return sample
 
     def _send(self, requests: list[Request], setpoints: Setpoints | None = None) -> None:
+        self.link.advance(self.now_us)
         to, frames = self.outbox.send(requests, setpoints)
         self.record_heard()
         if frames:

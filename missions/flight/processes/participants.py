@@ -39,7 +39,8 @@ class Participants:
         key = options.signing_key
         signer = Signer(key, options.accept_unsigned_telemetry) if key is not None else None
         network = MemoryNetwork() if options.in_process else None
-        self.link = Link(endpoints(len(flight.system.m), options), signer, network)
+        epoch_s = flight.scenario.epoch_s if self.lockstep else None
+        self.link = Link(endpoints(len(flight.system.m), options), signer, network, epoch_s)
         self.link.reliable = self.lockstep and network is None
         try:
             self.log = LogProcess() if network is None else InProcessLog()
