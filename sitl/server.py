@@ -44,10 +44,11 @@ class Server:
         firmware = s.firmware or ("px4",) * self.n
         onboard = places(firmware, s.port_offset, s.host)
         trackers = () if s.untethered else tracker_endpoints(s.port_offset, s.host)
-        signer = Signer(s.signing_key, s.accept_unsigned_telemetry) if s.signing_key is not None else None
         ours = s.lockstep and s.await_controller  # nobody but our controller decides when time goes on
-        epoch_s = s.home.epoch_s if ours else None
-        self.link = Link([*(place.endpoint for place in onboard), *trackers], signer, network, epoch_s)
+        signer = None
+        if s.signing_key is not None:
+            signer = Signer(s.signing_key, s.accept_unsigned_telemetry, s.home.epoch_s if ours else None)
+        self.link = Link([*(place.endpoint for place in onboard), *trackers], signer, network)
         self.link.reliable = ours and network is None
         self.links = VehicleLinks(self.link, onboard, s)
         self._tracker_port = len(onboard)

@@ -149,16 +149,28 @@ class Verdict(Enum):
 class Signer:
     """One side's key, the time stamps it has given out and those it has seen."""
 
-    def __init__(self, key: bytes, accept_unsigned_telemetry: bool = False) -> None:
+    def __init__(self, key: bytes, accept_unsigned_telemetry: bool = False, epoch_s: int | None = None) -> None:
+        """`epoch_s`: when simulated time began (Unix), which dates everything; None: the wall clock does."""
         if len(key) != 32:
             raise ValueError(f"a signing key has 32 bytes, not {len(key)}")
         self._key = key
         self.accept_unsigned_telemetry = accept_unsigned_telemetry
         self.stamp = 0  # 10 us since 2015; the owner of a clock moves it on
+        self._epoch_s = epoch_s
         self._seen: dict[tuple[int, int, int], int] = {}
+        self.advance(0)
 
     def at(self, unix_s: float) -> None:
-        """Let the time stamps follow a clock; they never go back."""
+        """Let the time stamps follow the wall clock, but where time is simulated; they never go back."""
+        if self._epoch_s is None:
+            self._follow(unix_s)
+
+    def advance(self, simulated_us: int) -> None:
+        """Let them follow simulated time, where that dates them."""
+        if self._epoch_s is not None:
+            self._follow(self._epoch_s + 1e-6 * simulated_us)
+
+    def _follow(self, unix_s: float) -> None:
         self.stamp = max(self.stamp, int((unix_s - SIGNING_EPOCH_S) * 1e5))
 
     def signature(self, unsigned: bytes, link_id: int) -> bytes:

@@ -82,18 +82,10 @@ class Link:
     """Ports that are waited on together, and the clock."""
 
     def __init__(
-        self,
-        endpoints: list[Endpoint],
-        signer: Signer | None = None,
-        network: MemoryNetwork | None = None,
-        epoch_s: int | None = None,
+        self, endpoints: list[Endpoint], signer: Signer | None = None, network: MemoryNetwork | None = None
     ) -> None:
-        """`network`: instead of sockets. `epoch_s`: when simulated time began (Unix), by which signatures are dated
-
-        as its owner lets it `advance`; None: by the wall clock. Raises LinkError where an address is taken.
-        """
+        """`network`: instead of sockets. Raises LinkError where an address is taken."""
         self._network = network
-        self._epoch_s, self._simulated_us = epoch_s, 0
         self.go_on: Callable[[], bool] | None = None  # in memory: let the other side work; whether it could
         self._arrived: deque[tuple[int, Address, bytes]] = deque()  # datagrams of a network in memory
         self.ports: list[Port | MemoryPort] = []
@@ -117,16 +109,13 @@ class Link:
         except BaseException:
             self.close()
             raise
-        self._date()
+        if signer is not None:
+            signer.at(time.time())
 
     def advance(self, now_us: int) -> None:
         """Simulated time has come to `now_us`."""
-        self._simulated_us = now_us
-
-    def _date(self) -> None:
         if self.signer is not None:
-            epoch_s = self._epoch_s
-            self.signer.at(time.time() if epoch_s is None else epoch_s + 1e-6 * self._simulated_us)
+            self.signer.advance(now_us)
 
     def now(self) -> float:
         """Wall-clock seconds, monotonic."""
@@ -224,7 +213,8 @@ class Link:
                 size += len(whole)
             self._put(port, frames[start:], address)
         self._queue.clear()
-        self._date()
+        if self.signer is not None:
+            self.signer.at(time.time())
 
     def resend(self, ports: Collection[int]) -> None:
         """Send the last datagrams of `ports` again, byte for byte: a `reliable` receiver leaves out what it has."""

@@ -37,10 +37,10 @@ class Participants:
         self._show: Show | None = None
         self._autopilots: Autopilots | None = None
         key = options.signing_key
-        signer = Signer(key, options.accept_unsigned_telemetry) if key is not None else None
-        network = MemoryNetwork() if options.in_process else None
         epoch_s = flight.scenario.epoch_s if self.lockstep else None
-        self.link = Link(endpoints(len(flight.system.m), options), signer, network, epoch_s)
+        signer = Signer(key, options.accept_unsigned_telemetry, epoch_s) if key is not None else None
+        network = MemoryNetwork() if options.in_process else None
+        self.link = Link(endpoints(len(flight.system.m), options), signer, network)
         self.link.reliable = self.lockstep and network is None
         try:
             self.log = LogProcess() if network is None else InProcessLog()
