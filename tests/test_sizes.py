@@ -73,6 +73,8 @@ def test_the_papers_size_has_the_usual_numbers_and_lengths_follow_the_cable() ->
     assert long.take_off_m_s == pytest.approx(2 * USUAL.take_off_m_s)  # as the period of a pendulum does
     assert long.separation_m == USUAL.separation_m
     assert scale_of(CABLE_M, 2 * ARM_M).separation_m == pytest.approx(2 * USUAL.separation_m)
+    assert long.around_m == USUAL.around_m
+    assert scale_of(40 * CABLE_M, ARM_M)[-2:] == pytest.approx((250.0, 150.0))  # vehicles start 30 m up
 
 
 def test_guards_and_drills_know_how_large_vehicles_and_load_are(tmp_path: Path) -> None:

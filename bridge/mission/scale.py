@@ -8,6 +8,7 @@ import math
 from typing import NamedTuple
 
 CABLE_M, ARM_M = 0.75, 0.17
+FENCED_CABLES = 8.0  # of 0.75 m: cables up to 6 m have the usual fence
 
 
 class Scale(NamedTuple):
@@ -28,6 +29,8 @@ class Scale(NamedTuple):
     separation_m: float = 0.3  # of two vehicles, at least
     hit_m: float = 0.25  # of two vehicles that hit each other
     off_plan_m: float = 0.5  # of the load, at most
+    around_m: float = 50.0  # the fence, from where the load begins
+    above_m: float = 30.0  # the ground, of the fence
 
 
 USUAL = Scale()
@@ -60,4 +63,6 @@ def scale_of(cable_m: float, arm_m: float) -> Scale:
         separation_m=u.separation_m * arm,
         hit_m=u.hit_m * arm,
         off_plan_m=u.off_plan_m * along(0.4, 4.0),
+        around_m=u.around_m * max(1.0, cable / FENCED_CABLES),
+        above_m=u.above_m * max(1.0, cable / FENCED_CABLES),
     )

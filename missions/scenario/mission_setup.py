@@ -144,8 +144,9 @@ def fence(flight: Flight) -> np.ndarray:
         return np.array([corners.min(axis=0), corners.max(axis=0)])
     ground = flight.scenario.ground
     assert ground is not None
-    x, y, _ = flight.scenario.initial.position_m
-    return np.array([[x - 50.0, y - 50.0, ground.z_m - 30.0], [x + 50.0, y + 50.0, ground.z_m + 1.0]])
+    (x, y, _), scale = flight.scenario.initial.position_m, scale_of_flight(flight)
+    around, up = scale.around_m, scale.above_m
+    return np.array([[x - around, y - around, ground.z_m - up], [x + around, y + around, ground.z_m + 1.0]])
 
 
 def guards(flight: Flight) -> tuple[Guard, ...]:

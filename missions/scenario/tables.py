@@ -368,7 +368,7 @@ class MissionTable(_Table):
     hooks: bool = True  # vehicles can let go of their cables (MAV_CMD_DO_GRIPPER)
     protect: bool = True  # guards act, losses are answered
     battery: Share = 0.3  # with less no vehicle is armed
-    fence_m: Annotated[list[Vector], Field(min_length=2, max_length=2)] | None = None  # left out: 50 m around, 30 m up
+    fence_m: Annotated[list[Vector], Field(min_length=2, max_length=2)] | None = None  # left out: docs/missions.md
     guards: GuardTable = GuardTable()
     limits_s: dict[Literal[
         "preflight", "arm", "take off", "tension", "lift", "carry", "set down", "release", "land", "disarm"
