@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -120,7 +121,7 @@ def best(run: Callable[[], object], per: int, repeats: int = 5) -> float:
     return min(times) / per * 1e6
 
 
-def sizes() -> list[dict]:
+def sizes() -> list[dict[str, Any]]:
     """One evaluation and one RK4 step with held controls, beside MuJoCo's RK4 step."""
     rows = []
     for n, links in SIZES:
@@ -133,7 +134,13 @@ def sizes() -> list[dict]:
         advance(system, state.copy(), command, 1e-5, 1, work)
         count = max(10, count // 8)
         step = best(lambda s=system, x=state, w=work, c=command, k=count: advance(s, x.copy(), c, 1e-5, k, w), count)  # type: ignore[misc]
-        row = {"n": n, "links": links, "evaluation_us": evaluation, "step_us": step, "mujoco_step_us": None}
+        row: dict[str, Any] = {
+            "n": n,
+            "links": links,
+            "evaluation_us": evaluation,
+            "step_us": step,
+            "mujoco_step_us": None,
+        }
         if n * links <= MUJOCO_UP_TO:
             model = model_of(system, 1e-5)
             data = mujoco.MjData(model)
@@ -186,7 +193,7 @@ def precision() -> list[dict]:
     judge = start.copy()
     advance(system, judge, command, 2.5e-5, 80_000, scratch(system, judge))
     truth = np.vstack([judge.x0[None], positions(system, judge)[:, 0]])
-    rows = []
+    rows: list[dict[str, Any]] = []
     for h in (4e-3, 2e-3, 1e-3, 5e-4, 2.5e-4):
         steps = round(2.0 / h)
         state = start.copy()
@@ -265,7 +272,11 @@ def flights() -> dict:
     def motion(k: int) -> None:
         advance(system, states[k], hover(system), 1e-3, 50_000, work[k])
 
-    serial = best(lambda: [motion(k) for k in range(cores)], 1, 3)
+    def in_turn() -> None:
+        for k in range(cores):
+            motion(k)
+
+    serial = best(in_turn, 1, 3)
     with ThreadPoolExecutor(cores) as pool:
         threads = best(lambda: list(pool.map(motion, range(cores))), 1, 3)
     console.print(f"rollout of Case 1 (law = paper): {alone:.0f} x real time on one core")

@@ -126,7 +126,7 @@ def libraries(log: Path) -> dict[str, float]:
         writer.start()
         channel = writer.register_channel("/x", "protobuf", 0)
         for k, row in enumerate(values):
-            fields = {n: v.ravel().tolist() if isinstance(v, np.ndarray) else v for n, v in row}
+            fields: dict[str, Any] = {n: v.ravel().tolist() if isinstance(v, np.ndarray) else v for n, v in row}
             writer.add_message(channel, k, pb.PlantState(**fields).SerializeToString(), k)
 
     out = {}

@@ -14,6 +14,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -77,6 +78,10 @@ def framed(value: Any) -> list[bytes]:
     return FOUR_CABLES.framed(SENDERS, SENDERS, 1, 0)
 
 
+def _packed_anew(kind: Any, fields: list[Any], peer: Any) -> None:
+    kind(*fields).pack(peer)
+
+
 def codec() -> list[dict[str, Any]]:
     """us a message: value to bytes and back, ours and pymavlink's."""
     peer = mavlink.MAVLink(None, 1, 1)
@@ -92,10 +97,10 @@ def codec() -> list[dict[str, Any]]:
             {
                 "message": packed.name,
                 "bytes": len(whole),
-                "out_us": best_us(lambda value=value: framed(value)) / len(framed(value)),
-                "in_us": best_us(lambda packed=packed, whole=whole: decode(packed.msgid, whole)),
-                "pymavlink_out_us": best_us(lambda kind=kind, fields=fields: kind(*fields).pack(peer)),
-                "pymavlink_in_us": best_us(lambda whole=whole: peer.parse_buffer(whole)),
+                "out_us": best_us(partial(framed, value)) / len(framed(value)),
+                "in_us": best_us(partial(decode, packed.msgid, whole)),
+                "pymavlink_out_us": best_us(partial(_packed_anew, kind, fields, peer)),
+                "pymavlink_in_us": best_us(partial(peer.parse_buffer, whole)),
             }
         )
     return rows

@@ -65,6 +65,11 @@ class Sample(NamedTuple):
     R_0d: Array  # (3, 3) the load's attitude along the reference
     q_d: Array  # (3,) the cables' direction along the reference, W
 
+    def __repr__(self) -> str:
+        if np.ndim(self.t) > 0:
+            return f"Sample({len(self.f)} decisions)"
+        return f"Sample(t = {self.t:.3f} s, {self.state}, e_q {self.e_q:.2g}, thrusts {np.round(self.f, 3).tolist()} N)"
+
 
 def first_memory(design: Design) -> Memory:
     """What the controller knows before its first decision."""

@@ -94,6 +94,9 @@ class Design(NamedTuple):
     authority: Authority
     swing_damping: SwingDamping
 
+    def __repr__(self) -> str:
+        return f"Design({self.system}, every {1e3 * self.period:g} ms, {self.delay} ticks of delay)"
+
 
 class DesignError(ValueError):
     """No stabilising gains exist for this system and these weights."""

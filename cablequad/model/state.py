@@ -22,6 +22,11 @@ class State(NamedTuple):
     R: Array  # (n, 3, 3) quadrotor -> W
     Omega: Array  # (n, 3) rad/s, body frames
 
+    def __repr__(self) -> str:
+        n, L = self.q.shape[-3:-1]
+        where = f"load at {np.round(self.x0, 4).tolist()} m, " if self.x0.ndim == 1 else f"{len(self.x0)} instants, "
+        return f"State({where}{n} vehicles, {L} links)"
+
     @classmethod
     def hanging(cls, system: System, x0: Array | tuple[float, float, float] = (0.0, 0.0, 0.0)) -> "State":
         """At rest at `x0` with a level payload, vertical cables and level quadrotors."""

@@ -62,6 +62,10 @@ class System(NamedTuple):
     M_0: Array  # (n, L) kg, M_0ij = m_i + sum_{a<j} m_ia: what hangs above link j; padding 0
     Jbar0: Array  # (3, 3) kg m^2, J_0 - sum_i M_iT hat(rho_i)^2
 
+    def __repr__(self) -> str:
+        links = ", ".join(str(k) for k in sorted(set(self.n_links.tolist())))
+        return f"System({len(self.m)} vehicles, cables of {links} links, load {self.m0:g} kg of {self.M_T:g} kg)"
+
     @classmethod
     def of(cls, payload: Payload, quadrotors: Sequence[Quadrotor], cables: Sequence[Cable], g: float = G) -> "System":
         """The system of these parts. Raises ValueError naming the part and value that cannot be."""

@@ -67,6 +67,10 @@ class Flight(NamedTuple):
     script: str | None = None  # the text of the mission script that gave the trajectory, or that flies the mission
     script_name: str = "mission.py"  # its file's name
 
+    def __repr__(self) -> str:
+        s = self.scenario
+        return f"Flight({s.name}: {s.description} {self.system}, {s.duration_s:g} s at most)"
+
 
 STATED_DAMPING = 0.9  # of a response whose bandwidth alone is stated
 TICK_US = 4000  # the vehicles speak at 250 Hz, or as often as control asks

@@ -1,0 +1,81 @@
+"""What Python users meet: `import cablequad`, its values, and the examples."""
+
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import cablequad as cq
+from logs.reading.shapes import MESSAGES, Topic, fields
+
+EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.py"))
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=[path.stem for path in EXAMPLES])
+def test_an_example_runs(
+    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    runpy.run_path(str(path))
+    assert len(capsys.readouterr().out.splitlines()) >= 2
+
+
+def test_the_door_names_what_exists_and_imports_late() -> None:
+    for name in cq.__all__:
+        assert getattr(cq, name) is not None
+    assert set(cq.__all__) == set(dir(cq))
+    with pytest.raises(AttributeError, match="no attribute 'liftoff'"):
+        _ = cq.liftoff  # type: ignore[attr-defined]
+    late = "import cablequad, sys; assert not {'missions', 'sitl', 'logs', 'rerun', 'numba'} & set(sys.modules)"
+    subprocess.run([sys.executable, "-c", late], check=True)
+
+
+def test_a_simulation_is_arrays_of_the_shapes_that_it_says() -> None:
+    sim = cq.simulate("paper-case-1", duration_s=1.0)
+    assert sim["t"][[0, -1]].tolist() == [0.0, 1.0]
+    assert sim["link_direction"].shape == (251, 4, 5, 3)
+    assert sim["quad_position"].shape == (251, 4, 3)
+    assert np.linalg.norm(sim["link_direction"], axis=-1) == pytest.approx(1.0, abs=1e-12)
+    assert set(sim.units) == set(sim)
+    figure = sim.plot()
+    assert figure.axes[0].get_ylabel() == "payload position [m, NED]"
+
+
+def test_a_log_gives_its_topics_in_shapes_and_with_units(tmp_path: Path) -> None:
+    flown = cq.fly(cq.scenario("paper-case-1-50hz", duration_s=2.0), out=tmp_path)
+    assert "not judged at its end" in flown.summary.reason
+    log = cq.read(flown.log_path)
+    state, control = log["/plant/state"], log["/control/state"]
+    instants = len(state["sim_time_ns"])
+    assert state["link_direction"].shape == (instants, 4, 5, 3)
+    assert state["tension"].shape == (instants, 4, 5)
+    assert state["quad_attitude"].shape == (instants, 4, 4)
+    assert control["tension"].shape[1:] == (4,)  # the same name, and another shape there
+    assert control["under_way"].shape[1:] == (1, 4, 3)
+    assert log["/control/estimate"]["link_direction"].shape[1:] == (4, 5)
+    assert state.says["tension"] == "N, positive pulls"
+    assert set(log.figures()) == {"histories", "tensions", "snapshots"}
+    assert log.replay(tmp_path / "own.rrd").stat().st_size > 10_000
+
+
+def test_every_table_of_a_log_has_its_fields_in_the_schema() -> None:
+    for message in MESSAGES.values():
+        assert fields()[message]["sim_time_ns"].says.startswith("vehicles' clock")
+    assert fields()["PlantState"]["link_direction"] == (("n", "L", "3"), "unit, quadrotor -> payload")
+
+
+def test_a_column_that_does_not_fit_stays_flat() -> None:
+    flat = Topic("/plant/state", {"link_direction": np.zeros((3, 59))}, {"n": 4, "L": 5})
+    assert flat["link_direction"].shape == (3, 59)
+    assert Topic("/plant/state", {"tension": np.zeros((3, 20))}, {"n": 0, "L": 0})["tension"].shape == (3, 20)
+
+
+def test_values_are_short_to_look_at() -> None:
+    flight = cq.scenario("paper-case-1")
+    sim = cq.simulate(flight, duration_s=0.1)
+    for value in (flight, cq.design(flight), flight.system, flight.initial, sim):
+        assert len(repr(value)) < 700, type(value)
+    assert repr(flight.system) == "System(4 vehicles, cables of 5 links, load 0.5 kg of 3.72 kg)"
