@@ -24,7 +24,9 @@ from missions.cli.options import (
 
 def check(
     scenario: ScenarioArgument = "paper-case-1",
-    quick: Annotated[bool, typer.Option(help="Leave out what needs many simulated flights.")] = False,
+    quick: Annotated[
+        bool, typer.Option(help="Leave out the search for what settles in simulated flights, and most samples.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Say what can be said of a scenario before it flies: modes, margins, the stability certificate, what settles."""
