@@ -1,7 +1,7 @@
 """What `import cablequad` offers to Python users: scenarios, flights, simulations and logs as values."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +15,7 @@ from cablequad.model.state import positions
 from cablequad.types import Array
 from logs.reading.reader import Run
 from logs.reading.reader import read as _read
-from logs.reading.shapes import Topic, topics
+from logs.reading.shapes import Arrays, Topic, topics
 from missions.flight.options import Options, Progress
 from missions.flight.run import run
 from missions.flight.summary import Summary
@@ -34,21 +34,13 @@ UNITS = {
 }  # fmt: skip
 
 
-class Simulation(Mapping[str, Array]):
+class Simulation(Arrays):
     """A flight without a wire as arrays over time; `UNITS` says what each holds."""
 
     def __init__(self, name: str, arrays: Mapping[str, Array]) -> None:
-        self.name, self._arrays = name, dict(arrays)
+        super().__init__(arrays)
+        self.name = name
         self.units = {key: UNITS[key] for key in arrays}
-
-    def __getitem__(self, key: str) -> Array:
-        return self._arrays[key]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._arrays)
-
-    def __len__(self) -> int:
-        return len(self._arrays)
 
     def __repr__(self) -> str:
         t = self._arrays["t"]

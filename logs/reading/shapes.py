@@ -40,7 +40,23 @@ def _fields(body: str) -> Iterator[tuple[str, Field]]:
         yield name, Field(shape, shaped[2] if shaped else comment)
 
 
-class Topic(Mapping[str, np.ndarray]):
+class Arrays(Mapping[str, np.ndarray]):
+    """Arrays by name, each with an instant a row."""
+
+    def __init__(self, arrays: Mapping[str, np.ndarray]) -> None:
+        self._arrays = dict(arrays)
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        return self._arrays[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._arrays)
+
+    def __len__(self) -> int:
+        return len(self._arrays)
+
+
+class Topic(Arrays):
     """The messages of one topic as arrays by field, each (t, ...) in the field's shape; `says` has their units."""
 
     def __init__(self, name: str, columns: Mapping[str, np.ndarray], sizes: Mapping[str, int]) -> None:
@@ -48,16 +64,7 @@ class Topic(Mapping[str, np.ndarray]):
         self.name = name
         known = fields().get(MESSAGES.get(name, ""), {})
         self.says = {field: known[field].says for field in columns if field in known}
-        self._arrays = {f: _shaped(a, known[f].shape if f in known else (), sizes) for f, a in columns.items()}
-
-    def __getitem__(self, field: str) -> np.ndarray:
-        return self._arrays[field]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._arrays)
-
-    def __len__(self) -> int:
-        return len(self._arrays)
+        super().__init__({f: _shaped(a, known[f].shape if f in known else (), sizes) for f, a in columns.items()})
 
     def __repr__(self) -> str:
         rows = len(next(iter(self._arrays.values()))) if self._arrays else 0
