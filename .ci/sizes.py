@@ -21,7 +21,7 @@ LARGE = {  # function or class: why
     "logs/views/replay_layout.py:layout": TABLE,
     "logs/writing/layout.py:records": COMPILED,
     "missions/analysis/check.py:check": TABLE,
-    "missions/analysis/check.py:show": TABLE,
+    "missions/analysis/check_page.py:show": TABLE,
     "missions/cli/before_flight.py:identify": OPTIONS,
     "missions/cli/main.py:fly": OPTIONS,
     "missions/cli/main.py:sitl": OPTIONS,

@@ -20,6 +20,7 @@ from missions.flight.options import Options, Progress
 from missions.flight.run import run
 from missions.flight.summary import Summary
 from missions.scenario import loading
+from missions.scenario.feasibility import obstacles
 from missions.scenario.loading import Flight
 
 if TYPE_CHECKING:
@@ -164,10 +165,12 @@ def fly(flight: Flight | str, out: str | Path = "runs", sockets: bool = False) -
     """Fly a scenario with built-in vehicles, everything recorded, in lockstep.
 
     `sockets`: over UDP between processes, as `cablequad fly` does; else the same bytes in this process, and the same
-    log. Raises ScenarioError, and LinkError where a port is taken.
+    log. Raises ScenarioError where it cannot fly as well, and LinkError where a port is taken.
     """
-    options = Options(out=Path(out), in_process=not sockets)
-    summary, _ = run(_flight(flight), options, Progress())
+    f = _flight(flight)
+    if found := obstacles(f):
+        raise loading.ScenarioError(f"{f.scenario.name}: cannot fly: {'; '.join(found)}")
+    summary, _ = run(f, Options(out=Path(out), in_process=not sockets), Progress())
     assert summary.log is not None
     return Flown(summary, Path(summary.log))
 

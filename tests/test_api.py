@@ -10,6 +10,7 @@ import pytest
 
 import cablequad as cq
 from logs.reading.shapes import MESSAGES, Topic, fields
+from missions.scenario.loading import ScenarioError, text
 
 EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.py"))
 
@@ -59,6 +60,13 @@ def test_a_log_gives_its_topics_in_shapes_and_with_units(tmp_path: Path) -> None
     assert state.says["tension"] == "N, positive pulls"
     assert set(log.figures()) == {"histories", "tensions", "snapshots"}
     assert log.replay(tmp_path / "own.rrd").stat().st_size > 10_000
+
+
+def test_what_cannot_fly_is_refused_as_by_the_commands(tmp_path: Path) -> None:
+    path = tmp_path / "weak.toml"
+    path.write_text(text("paper-case-1").replace("max_thrust_N = 25.0", "max_thrust_N = 5.0"))
+    with pytest.raises(ScenarioError, match=r"cannot fly: vehicle 1 needs 182 % of its thrust"):
+        cq.fly(cq.scenario(path), out=tmp_path)
 
 
 def test_every_table_of_a_log_has_its_fields_in_the_schema() -> None:

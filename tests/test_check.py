@@ -199,9 +199,13 @@ def test_pbh_margins_are_singular_values_of_the_whole_pencil(system: System) -> 
         assert mode.pbh == pytest.approx(np.linalg.svd(whole, compute_uv=False)[-1], rel=1e-3)
 
 
-def test_the_loop_gain_by_parts_is_that_of_the_whole_matrix() -> None:
-    design = sampled_law(PAPER, AIRFRAME, Weights(), 0.004, 3)
-    loop = sampled_loop(PAPER, AIRFRAME, 0.004, 3)
+@pytest.mark.parametrize("system", [PAPER, irregular()], ids=["paper", "irregular"])
+@pytest.mark.parametrize("delay", [0, 1, 3])
+def test_the_loop_gain_by_parts_is_that_of_the_whole_matrix(system: System, delay: int) -> None:
+    n = len(system.m)
+    airframe = Airframe(np.full(n, 40.0), np.full(n, 0.9), np.full(n, 25.0))
+    design = sampled_law(system, airframe, Weights(), 0.004, delay)
+    loop = sampled_loop(system, airframe, 0.004, delay)
     K, z = loop_gains(design, loop), np.exp(1j * np.array([0.01, 0.2, 1.2, 3.0]))
     whole = [K @ np.linalg.solve(at * np.eye(len(loop.A)) - loop.A, loop.B) for at in z]
     assert _loop_gain(loop, K, z) == pytest.approx(np.array(whole), rel=1e-6, abs=1e-6)

@@ -7,7 +7,7 @@ import numpy as np
 from scipy import linalg
 
 from cablequad.control.design import Design, SampledLoop, loop_gains, sampled_loop, undelayed
-from cablequad.control.riccati import DOUBLINGS
+from cablequad.control.riccati import discrete
 from cablequad.model.attitude import Airframe
 from cablequad.model.controllability import coordinate_names, squared_frequencies
 from cablequad.model.linear import linearize
@@ -201,23 +201,10 @@ def _shrinking(arrived: Array, lost: Array, differ: slice) -> tuple[Array, Array
 
     Then the two factors of what `lost` is more, in the rows `differ`.
     """
-    L = linalg.cholesky(_doubled_sum(arrived), lower=False)
-    back = linalg.solve_triangular(L, np.eye(len(L)))
+    everything = np.eye(len(arrived))  # P = arrived' P arrived + I, a Riccati equation without an input
+    L = linalg.cholesky(discrete(arrived, np.zeros_like(arrived), everything), lower=False)
+    back = linalg.solve_triangular(L, everything)
     return L @ arrived @ back, L[:, differ], (lost - arrived)[differ] @ back
-
-
-def _doubled_sum(A: Array) -> Array:
-    """P = A' P A + I, by doubling the horizon. Raises LinAlgError where A does not shrink."""
-    P, power = np.eye(len(A)), A
-    for _ in range(DOUBLINGS):
-        more = power.T @ P @ power
-        P = P + 0.5 * (more + more.T)
-        power = power @ power
-        if not np.all(np.isfinite(more)):
-            break
-        if np.abs(more).max() <= 1e-12 * np.abs(P).max():
-            return P
-    raise np.linalg.LinAlgError("the sum over all time does not end")
 
 
 def _followed(arrived: Array, left: Array, right: Array, p: float, X: Array, steps: int) -> tuple[Array, float]:

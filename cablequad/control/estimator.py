@@ -164,7 +164,9 @@ def _shaken(system: System, view: Modes, period: float, with_forces: bool) -> tu
     moving = np.arange(len(A_v)) >= len(A_v) // 2
     shake += np.diag(np.where(moving, SHAKEN * float(np.diag(shake)[moving].mean()), 0.0))
     by_force, size = np.hstack([B_v, onto @ on_load[:, :3]]), np.sqrt(np.concatenate([vehicles, load]))
-    forces = size[:, None] * linalg.orth((by_force * size).T, rcond=NO_MOTION)[:, : (None if with_forces else 0)]
+    forces = np.zeros((len(size), 0))
+    if with_forces:
+        forces = size[:, None] * linalg.orth((by_force * size).T, rcond=NO_MOTION)
     U = forces.shape[1]
     A_v = np.block([[A_v, by_force @ forces], [np.zeros((U, len(A_v) + U))]])
     shake = linalg.block_diag(shake, CONSTANT_FORCE * np.eye(U))
@@ -224,7 +226,7 @@ def predicted(filter: Filter, belief: Belief, setpoint: Setpoint, h: float, step
     )
     work = scratch(filter.system, at)
     work.on_vehicles[:] = belief.force[:-1]
-    work.work.loaded[0] = True
+    work.work.loaded[0] = np.any(belief.force[-1] != 0.0)
     work.work.on_payload[:] = belief.force[-1]
     fly(filter.system, filter.airframe, setpoint, at, h, steps, work)
     return Belief(at, belief.force)

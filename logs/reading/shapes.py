@@ -9,11 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from logs.reading.reader import Run
+from logs.schema.topics import TOPICS
 
-MESSAGES = {
-    "/plant/state": "PlantState", "/plant/wind": "Wind", "/control/state": "ControlState",
-    "/control/reference": "ControlReference", "/control/estimate": "EstimateError", "/perf": "Perf",
-}  # fmt: skip
+MESSAGES: dict[str, str] = {topic: kind.DESCRIPTOR.name for topic, kind in TOPICS.items()}
 _MESSAGE = re.compile(r"^message (\w+) \{(.*?)^\}", re.MULTILINE | re.DOTALL)
 _FIELD = re.compile(r"^ *(?:repeated )?\w+ (\w+) = \d+; *// *(.*)$", re.MULTILINE)
 _SHAPE = re.compile(r"^\(([\w, ]+)\) *(.*)$")

@@ -21,6 +21,7 @@ from cablequad.control.control_step import Sample
 from cablequad.model.instant import Motion
 from cablequad.model.state import Difference
 from logs.schema import cablequad_pb2 as pb
+from logs.schema.topics import TOPICS
 from logs.writing import encode
 from logs.writing.encode import Model
 from logs.writing.serialize import LogWriter, PendingMessages
@@ -132,19 +133,8 @@ class Attachment(NamedTuple):
 
 
 _TYPES: dict[str, Any] = {
-    "/plant/state": pb.PlantState,
-    "/control/state": pb.ControlState,
-    "/control/reference": pb.ControlReference,
-    "/control/estimate": pb.EstimateError,
-    "/tf": FrameTransforms,
-    "/scene": SceneUpdate,
-    "/log": Log,
-    "/event": pb.Event,
-    "/plant/event": pb.Event,
-    "/plant/log": Log,
-    "/plant/wind": pb.Wind,
-    "/perf": pb.Perf,
-}
+    **TOPICS, "/tf": FrameTransforms, "/scene": SceneUpdate, "/log": Log, "/plant/log": Log,
+}  # fmt: skip
 
 
 Message = tuple[str, bytes]  # its topic, and it

@@ -33,7 +33,7 @@ def check(
     from rich.console import Console
 
     from missions.analysis.check import check as examine
-    from missions.analysis.check import show, summary
+    from missions.analysis.check_page import show, summary
     from missions.analysis.drills import in_the_air
     from missions.flight.terminal import telling
     from missions.scenario.loading import ScenarioError
