@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from cablequad.model.linear import linearize
     from cablequad.model.state import State
     from cablequad.model.system import Cable, Payload, Quadrotor, System
-    from missions.api import Flown, Log, Simulation, design, fly, read, scenario, simulate
+    from missions.api import Flown, Log, Simulation, design, fly, flying, read, scenario, simulate
 
     __version__: str
 
@@ -32,14 +32,14 @@ _FROM = {
     "step": "cablequad.model.integrate", "linearize": "cablequad.model.linear", "State": "cablequad.model.state",
     "Cable": "cablequad.model.system", "Payload": "cablequad.model.system", "Quadrotor": "cablequad.model.system",
     "System": "cablequad.model.system", "Flown": "missions.api", "Log": "missions.api",
-    "Simulation": "missions.api", "design": "missions.api", "fly": "missions.api", "read": "missions.api",
-    "scenario": "missions.api", "simulate": "missions.api",
+    "Simulation": "missions.api", "design": "missions.api", "fly": "missions.api", "flying": "missions.api",
+    "read": "missions.api", "scenario": "missions.api", "simulate": "missions.api",
 }  # fmt: skip
 
 __all__ = [
     "Airframe", "Cable", "Flown", "Log", "Payload", "Quadrotor", "Simulation", "State", "System", "Weights",
-    "__version__", "continuous_law", "control_step", "design", "first_memory", "fly", "linearize", "read",
-    "sampled_law", "scenario", "simulate", "step",
+    "__version__", "continuous_law", "control_step", "design", "first_memory", "fly", "flying", "linearize",
+    "read", "sampled_law", "scenario", "simulate", "step",
 ]  # fmt: skip
 
 

@@ -16,7 +16,7 @@ class Boxed(structref.StructRefProxy, Generic[T]):
     value: T
 
     def __new__(cls, value: T) -> "Boxed[T]":
-        made: Boxed[T] = structref.StructRefProxy.__new__(cls, value)  # type: ignore[no-untyped-call]
+        made: Boxed[T] = structref.StructRefProxy.__new__(cls, value)
         return made
 
 
@@ -25,7 +25,7 @@ class _BoxedType(types.StructRef):
     """Its type in compiled code, where `.value` reads it."""
 
 
-structref.define_proxy(Boxed, _BoxedType, ["value"])  # type: ignore[no-untyped-call]
+structref.define_proxy(Boxed, _BoxedType, ["value"])
 
 
 @jit

@@ -13,9 +13,11 @@ from cablequad.control.design import Design
 from cablequad.control.trajectory import at
 from cablequad.model.state import positions
 from cablequad.types import Array
+from logs.reading.extras import extra
 from logs.reading.reader import Run
 from logs.reading.reader import read as _read
 from logs.reading.shapes import Arrays, Topic, topics
+from missions.flight.live_script import Flying
 from missions.flight.options import Options, Progress
 from missions.flight.run import run
 from missions.flight.summary import Summary
@@ -50,7 +52,8 @@ class Simulation(Arrays):
 
     def plot(self) -> "Figure":
         """Position, velocity, thrust and attitude and link errors over time."""
-        from matplotlib.figure import Figure
+        with extra():
+            from matplotlib.figure import Figure
 
         figure = Figure(figsize=(10.5, 6.0), layout="constrained")
         grid = figure.subplots(2, 2, sharex=True)
@@ -91,7 +94,8 @@ class Log:
 
     def figures(self) -> dict[str, "Figure"]:
         """The paper's figures for this flight: `histories` (2 and 4), `tensions`, `snapshots` (3 and 5)."""
-        from logs.views import figures
+        with extra():
+            from logs.views import figures
 
         return {
             "histories": figures.histories(self.run), "tensions": figures.tensions(self.run),
@@ -105,6 +109,12 @@ class Log:
         written = self.path.with_suffix(".rrd") if path is None else Path(path)
         save(self.run, written)
         return written
+
+    def show(self, width: int = 960, height: int = 600) -> None:
+        """Show the replay in the notebook, pixels large. Raises ImportError where rerun-notebook is not installed."""
+        with extra():
+            from logs.views.notebook import show
+        show(self.run, width, height)
 
 
 class Flown:
@@ -167,17 +177,32 @@ def fly(flight: Flight | str, out: str | Path = "runs", sockets: bool = False) -
     `sockets`: over UDP between processes, as `cablequad fly` does; else the same bytes in this process, and the same
     log. Raises ScenarioError where it cannot fly as well, and LinkError where a port is taken.
     """
-    f = _flight(flight)
-    if found := obstacles(f):
-        raise loading.ScenarioError(f"{f.scenario.name}: cannot fly: {'; '.join(found)}")
+    f = _flyable(flight)
     summary, _ = run(f, Options(out=Path(out), in_process=not sockets), Progress())
     assert summary.log is not None
     return Flown(summary, Path(summary.log))
 
 
+def flying(flight: Flight | str, out: str | Path = "runs", sockets: bool = False) -> Flying:
+    """A mission flown by the program that awaits it: `async with cq.flying("ground-to-ground") as fleet`.
+
+    `fleet` has what a mission script has. The vehicles' clock stands still while nothing of the fleet is awaited. An
+    error that leaves the `async with` brings the load to the ground first. Raises ScenarioError where it cannot fly.
+    """
+    f = _flyable(flight)
+    return Flying(f, Options(out=Path(out), in_process=not sockets), Progress())
+
+
 def read(path: str | Path) -> Log:
     """A log on disk. Raises LogError where nothing can be read."""
     return Log(Path(path))
+
+
+def _flyable(flight: Flight | str) -> Flight:
+    f = _flight(flight)
+    if found := obstacles(f):
+        raise loading.ScenarioError(f"{f.scenario.name}: cannot fly: {'; '.join(found)}")
+    return f
 
 
 def _flight(flight: Flight | str) -> Flight:

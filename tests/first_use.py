@@ -43,7 +43,8 @@ def vehicles(firmware: str, offset: int) -> set[tuple[str, Any]]:
         for i, vehicle in enumerate(server.vehicles):
             if tick == 0:
                 vehicle._set_armed(True, 0)
-                vehicle.mode = type(vehicle.mode)[control]
+                flown: Any = vehicle  # of either firmware, whose modes differ
+                flown.mode = type(flown.mode)[control]
             target = AttitudeTarget(server.now_us // 1000, i + 1, 1, 7, LEVEL, (0.0, 0.0, 0.0), 0.5)
             frame = Received(i, ("127.0.0.1", 1), 250, 191, 0, 82, "SET_ATTITUDE_TARGET", b"", target)
             server.links.inbox[i].append((server.now_us, frame))

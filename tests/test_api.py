@@ -1,15 +1,23 @@
 """What Python users meet: `import cablequad`, its values, and the examples."""
 
+import asyncio
+import inspect
 import runpy
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import cablequad as cq
+from bridge.mission.mission import MissionError
+from logs.reading.extras import EXTRAS, extra
+from logs.reading.reader import LogError
+from logs.reading.records import entries
 from logs.reading.shapes import MESSAGES, Topic, fields
+from missions.analysis.replay_control import redecide
 from missions.scenario.loading import ScenarioError, text
 
 EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.py"))
@@ -69,6 +77,93 @@ def test_what_cannot_fly_is_refused_as_by_the_commands(tmp_path: Path) -> None:
         cq.fly(cq.scenario(path), out=tmp_path)
 
 
+def test_arrays_become_tables(tmp_path: Path) -> None:
+    sim = cq.simulate("paper-case-1", duration_s=0.1)
+    table = sim.to_pandas()
+    assert table.index.name == "t"
+    assert table["link_direction_3_4_2"].to_numpy().tolist() == sim["link_direction"][:, 3, 4, 2].tolist()
+    state = cq.fly(cq.scenario("paper-case-1-50hz", duration_s=0.5), out=tmp_path).log["/plant/state"]
+    assert state["t"][-1] == pytest.approx(0.5, abs=0.05)  # it begins before the release
+    assert state.to_pandas()["tension_0_4"].to_numpy().tolist() == state["tension"][:, 0, 4].tolist()
+
+
+@pytest.mark.parametrize("package", EXTRAS)
+def test_a_package_that_is_not_there_is_named_with_its_extra(package: str) -> None:
+    with pytest.raises(ImportError, match=rf"{package} is not installed.*cablequad\[{EXTRAS[package]}\]"), extra():
+        raise ModuleNotFoundError(f"No module named '{package}'", name=f"{package}.figure")
+
+
+def test_another_module_that_is_not_there_is_nobodys_extra() -> None:
+    with pytest.raises(ImportError, match=r"^No module named 'nowhere'$"), extra():
+        import nowhere  # type: ignore[import-not-found]  # noqa: F401
+
+
+UP = ("preflight", "arm", "take_off", "tension", "lift")
+DOWN = ("set_down", "release", "land", "disarm")
+
+
+async def there_and_back(fleet: Any) -> None:
+    for ask in UP:
+        await getattr(fleet, ask)()
+    x, y, _ = fleet.load_m
+    await fleet.go(x + 0.5, y, -1.2)
+    fleet.say(f"{fleet.time_s:.2f} s: {fleet.phase}")
+    for ask in DOWN:
+        await getattr(fleet, ask)()
+
+
+def messages(path: str | Path | None) -> list[tuple[str, int, bytes]]:
+    assert path is not None
+    return [(e.topic, e.log_time, e.data) for e in entries(Path(path)) if not e.topic.startswith("/perf")]
+
+
+def test_a_program_flies_what_a_mission_script_flies(tmp_path: Path) -> None:
+    async def program() -> Any:
+        async with cq.flying("ground-to-ground", out=tmp_path) as fleet:
+            await there_and_back(fleet)
+        return fleet
+
+    live = asyncio.run(program())
+    assert live.summary.passed, live.summary.reason
+    path = tmp_path / "same.py"
+    body = inspect.getsource(there_and_back).replace("there_and_back(fleet: Any) -> None", "main(fleet)")
+    path.write_text(f"UP, DOWN = {UP}, {DOWN}\n{body}")
+    scripted = cq.fly(cq.scenario(path), out=tmp_path)
+    assert messages(live.summary.log) == messages(scripted.log_path)
+    with pytest.raises(MissionError, match="the flight is over"):
+        _ = live.load_m
+    with pytest.raises(LogError, match="flown by a program that the log does not hold"):
+        redecide(Path(live.summary.log))
+
+
+def test_a_program_that_fails_or_gives_up_in_the_air_has_its_load_set_down(tmp_path: Path) -> None:
+    async def fails() -> None:
+        async with cq.flying("ground-to-ground", out=tmp_path) as fleet:
+            for ask in UP:
+                await getattr(fleet, ask)()
+            seen.append(fleet)
+            raise KeyError("no such place")
+
+    async def gives_up() -> None:
+        async with cq.flying("ground-to-ground", out=tmp_path) as fleet:
+            seen.append(fleet)
+            await fleet.preflight()
+            await fleet.arm()
+            fleet.abort("enough seen")
+
+    seen: list[Any] = []
+    with pytest.raises(KeyError, match="no such place"):
+        asyncio.run(fails())
+    summary = seen[0].summary
+    assert not summary.passed
+    assert "KeyError: 'no such place'" in summary.reason
+    assert summary.touch_down_m_s < 0.5
+    asyncio.run(gives_up())
+    assert "enough seen" in seen[1].summary.reason
+    with pytest.raises(ScenarioError, match=r"no \[mission\]"):
+        cq.flying("paper-case-1")
+
+
 def test_every_table_of_a_log_has_its_fields_in_the_schema() -> None:
     for message in MESSAGES.values():
         assert fields()[message]["sim_time_ns"].says.startswith("vehicles' clock")
@@ -76,9 +171,11 @@ def test_every_table_of_a_log_has_its_fields_in_the_schema() -> None:
 
 
 def test_a_column_that_does_not_fit_stays_flat() -> None:
-    flat = Topic("/plant/state", {"link_direction": np.zeros((3, 59))}, {"n": 4, "L": 5})
+    stamps = {"sim_time_ns": np.arange(3)}
+    flat = Topic("/plant/state", {**stamps, "link_direction": np.zeros((3, 59))}, {"n": 4, "L": 5}, 0)
     assert flat["link_direction"].shape == (3, 59)
-    assert Topic("/plant/state", {"tension": np.zeros((3, 20))}, {"n": 0, "L": 0})["tension"].shape == (3, 20)
+    unknown = Topic("/plant/state", {**stamps, "tension": np.zeros((3, 20))}, {"n": 0, "L": 0}, 0)
+    assert unknown["tension"].shape == (3, 20)
 
 
 def test_values_are_short_to_look_at() -> None:

@@ -1,5 +1,7 @@
 """The equations of motion: two formulations, conservation laws, and the paper's misprints."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from conftest import irregular, random_state, random_system
@@ -211,7 +213,7 @@ def test_zero_link_cables_and_massless_parts_are_refused_by_name() -> None:
 
     q, c = Quadrotor(0.7, (5e-3, 5e-3, 9e-3)), Cable([0.01], [0.3])
     load = Payload(0.5, (1e-2, 1e-2, 1e-2), [(0.1, 0.0, -0.1)])
-    for wrong, text in [
+    cases: list[tuple[Callable[[], object], str]] = [
         (lambda: System.of(load, [q], [Cable([], [])]), "cable 1: no links"),
         (lambda: System.of(load, [q], [Cable([0.01, 0.01], [0.3])]), "2 masses but 1 lengths"),
         (lambda: System.of(load, [q], [Cable([-0.01], [0.3])]), "cable 1 link 1 mass: -0.01"),
@@ -220,6 +222,7 @@ def test_zero_link_cables_and_massless_parts_are_refused_by_name() -> None:
         (lambda: System.of(load, [q, q], [c, c]), "payload.attachments"),
         (lambda: System.of(load._replace(inertia=(1e-2, 1e-2, 5e-2)), [q], [c]), "belong to no body"),
         (lambda: System.paper(3), "case: 3"),
-    ]:
+    ]
+    for wrong, text in cases:
         with pytest.raises(ValueError, match=text):
             wrong()

@@ -91,6 +91,7 @@ def test_a_steady_wind_on_the_load_is_found_and_its_cables_lean_as_they_do() -> 
         acts = Setpoint.attitude(memory.R_c[0], memory.f[0])
         memory, _ = control_step(memory, Measurement(0.01 * k, s), still, design)
         truth, belief = predicted(filter, truth, acts, 0.001, 10), predicted(filter, belief, acts, 0.001, 10)
+    assert belief is not None
     leans = np.degrees(np.arccos(truth.state.q[:, :, 2]))
     off = np.degrees(np.linalg.norm(belief.state.q - truth.state.q, axis=2))
     assert leans.min() > 4.0

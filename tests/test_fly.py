@@ -9,6 +9,7 @@ import sys
 import time
 from collections import defaultdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -214,7 +215,8 @@ def test_a_client_that_speaks_first_is_answered_where_it_is(offset: int) -> None
     try:
         wait_for_line(server, "whoever speaks")
         hello = mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(codec)
-        seen, until = set(), time.monotonic() + 5
+        seen: set[Any] = set()
+        until = time.monotonic() + 5
         while time.monotonic() < until and seen != {1, 2, 3, 4}:
             client.sendto(hello, ("127.0.0.1", 14555 + offset))
             try:

@@ -1,6 +1,8 @@
 """The step: its order, its manifolds, and an independent integrator."""
 
+import importlib
 import os
+from typing import Any
 
 import numpy as np
 import pytest
@@ -110,7 +112,7 @@ def test_a_step_leaves_its_arguments_alone() -> None:
 
 
 def test_a_step_allocates_nothing() -> None:
-    from numba.core.runtime import _nrt_python, rtsys
+    runtime: Any = importlib.import_module("numba.core.runtime")
 
     from cablequad.model.integrate import advance, scratch
 
@@ -121,12 +123,12 @@ def test_a_step_allocates_nothing() -> None:
     if NUMBA_OFF:
         pytest.skip("without the compiler there is nothing to count")
     advance(system, state, command, 1e-4, 1, work)
-    _nrt_python.memsys_enable_stats()
+    runtime._nrt_python.memsys_enable_stats()
 
     def allocations(steps: int) -> int:
-        before = rtsys.get_allocation_stats().alloc
+        before = runtime.rtsys.get_allocation_stats().alloc
         advance(system, state, command, 1e-4, steps, work)
-        return int(rtsys.get_allocation_stats().alloc - before)
+        return int(runtime.rtsys.get_allocation_stats().alloc - before)
 
     assert allocations(500) == allocations(1)  # what remains are the arguments of the call
 
@@ -136,7 +138,7 @@ def test_a_state_of_integers_lists_and_views_moves_like_one_of_floats() -> None:
     whole = State.hanging(system, (1.0, 2.0, 3.0))
     odd = State(
         [1, 2, 3], np.zeros(3, dtype=int), np.eye(3, dtype=int), np.zeros(6)[::2],  # type: ignore[arg-type]
-        whole.q.astype(np.float32), np.asfortranarray(whole.omega), whole.R.tolist(), np.zeros((4, 3)),  # type: ignore[arg-type]
+        whole.q.astype(np.float32), np.asfortranarray(whole.omega), whole.R.tolist(), np.zeros((4, 3)),
     )  # fmt: skip
     plain, other = RotorOutput(np.full(4, 9.0), np.zeros((4, 3))), RotorOutput([9, 9, 9, 9], [[0, 0, 0]] * 4)  # type: ignore[arg-type]
     assert distance(step(system, whole, plain, 1e-3), step(system, odd, other, 1e-3)) == 0.0

@@ -1,7 +1,6 @@
 """Whole flights over links that fail, are signed, or are TCP; and who is refused on the way."""
 
 import json
-import os
 import socket
 import time
 from importlib import resources
@@ -190,8 +189,8 @@ def test_commands_without_the_key_are_refused_and_counted(tmp_path: Path, offset
     ("prepare", "why"),
     [
         (lambda path: None, "make one with"),
-        (lambda path: (path.write_bytes(b"k" * 32), os.chmod(path, 0o644)), "chmod 600"),
-        (lambda path: (path.write_bytes(b"short"), os.chmod(path, 0o600)), "32 bytes"),
+        (lambda path: [path.write_bytes(b"k" * 32), path.chmod(0o644)], "chmod 600"),
+        (lambda path: [path.write_bytes(b"short"), path.chmod(0o600)], "32 bytes"),
     ],
 )
 def test_a_key_file_that_cannot_be_used_is_a_usage_error(tmp_path: Path, prepare: object, why: str) -> None:

@@ -104,11 +104,11 @@ def test_what_went_in_comes_out(tmp_path: Path) -> None:
 
 def test_bytes_written_by_hand_are_those_of_the_protobuf_library(tmp_path: Path) -> None:
     """Every field of every topic, decoded and serialized again by the library: byte for byte the same."""
-    kinds = {
+    kinds: dict[str, Any] = {
         "/plant/state": pb.PlantState, "/control/state": pb.ControlState, "/control/reference": pb.ControlReference,
         "/control/estimate": pb.EstimateError, "/mavlink/quad1/tx": pb.MavlinkFrame, "/tf": FrameTransforms,
     }  # fmt: skip
-    seen = set()
+    seen: set[str] = set()
     for entry in entries(write(tmp_path / "a.mcap", 300).finish()):
         if entry.topic in kinds:
             seen.add(entry.topic)
@@ -162,7 +162,7 @@ def test_what_many_messages_are_written_as_is_what_the_libraries_write_of_each(
     files = []
     for writer in (together, one_by_one):
         writer.finish()
-        files.append(writer._Writer__stream.getvalue())  # type: ignore[union-attr]
+        files.append(vars(writer)["_Writer__stream"].getvalue())
     assert files[0] == files[1]
 
 
@@ -194,7 +194,8 @@ def test_chunks_end_where_enough_was_written_and_their_indexes_find_every_messag
 
 @given(st.lists(st.lists(st.binary(max_size=30), min_size=1, max_size=4), max_size=4), st.booleans())
 def test_messages_are_the_same_wherever_they_stand(parts: list[list[bytes]], loose: bool) -> None:
-    messages, bodies = Messages(), []
+    messages = Messages()
+    bodies: list[bytes] = []
     for part in parts:
         ends = np.cumsum([2 + len(body) for body in part])
         starts = ends - [len(body) for body in part]
@@ -352,8 +353,8 @@ def test_the_generated_schema_module_is_current(tmp_path: Path) -> None:
 def test_differences_of_many_instants_are_those_of_each() -> None:
     rng = np.random.default_rng(3)
     states = [State(*(field + 0.1 * rng.normal(size=field.shape) for field in motion(0.0).state)) for _ in range(6)]
-    rows = [State(*(np.stack(fields) for fields in zip(*part, strict=True))) for part in (states[:3], states[3:])]
-    many = differences(*rows, SYSTEM.n_links)
+    first, second = (State(*map(np.stack, zip(*part, strict=True))) for part in (states[:3], states[3:]))
+    many = differences(first, second, SYSTEM.n_links)
     for k in range(3):
         for name, one in difference(states[k], states[3 + k], SYSTEM.n_links)._asdict().items():
             np.testing.assert_array_equal(getattr(many, name)[k], one, name)

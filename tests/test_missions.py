@@ -15,6 +15,7 @@ from bridge.mission.members.per_vehicle import clear_of
 from bridge.mission.phases import ORDER, RULES, Phase
 from bridge.mission.plan_clock import PlanClock
 from bridge.mission.protection.guards import Guard, GuardMonitor, separation
+from bridge.mission.touch_down import TouchDown
 from logs.reading.reader import Run, read
 from missions.analysis.drills import compared, drills, harm, rehearsal
 from missions.flight.summary import Summary
@@ -57,6 +58,28 @@ def test_the_plans_clock_stands_until_nobody_stops_it() -> None:
     for _ in range(20):
         clock.tick()
     assert clock.rate == 1.0
+
+
+@pytest.mark.parametrize("ground_m", [0.0, -0.2, 0.15, math.inf])
+@pytest.mark.parametrize(("period_s", "lag_s", "scale"), [(0.02, 0.6, 1.0), (0.004, 0.3, 0.5), (0.02, 0.9, 2.0)])
+@pytest.mark.parametrize("speed", [0.1, 0.25])
+def test_vehicles_stand_when_they_do_not_follow_and_never_in_the_air(
+    ground_m: float, period_s: float, lag_s: float, scale: float, speed: float
+) -> None:
+    """Led down through where the ground is thought to be; the ground is somewhere else, and positions are noisy."""
+    rng = np.random.default_rng(5)
+    landing = TouchDown(0.05 * scale)
+    z, led = np.full(6, -1.0), np.full(6, -1.0)  # m, down: they hover at first
+    stands_at = None
+    for k in range(round(20.0 / period_s)):
+        led = np.minimum(led + speed * period_s * (k * period_s > 1.0), 0.15 * scale)
+        z = np.minimum(z + (led - z) * period_s / lag_s, ground_m)
+        if landing.stands(k * period_s, z + 0.02 * rng.normal(size=6), led):
+            stands_at = k * period_s if stands_at is None else stands_at
+            assert (z == ground_m).all(), "in the air"
+    assert (stands_at is None) == (not np.isfinite(ground_m) or ground_m > 0.1 * scale)
+    if stands_at is not None:
+        assert stands_at < 1.0 + (1.0 + ground_m + 0.05 * scale) / speed + 4.0  # soon after its reference passed it
 
 
 @pytest.mark.parametrize(

@@ -1,13 +1,14 @@
 """The PX4 persona: one table a behaviour, against messages and a clock that the test turns."""
 
 import math
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from workbench import BODY, LINKS, ROLLED, ROLLED_QUAT, TICK, Bench, target
+from workbench import BODY, LINKS, ROLLED, ROLLED_QUAT, TICK, Bench, Point, target
 
 from bridge.fleet.thrust import MotorCommand
 from bridge.wire.dialect import mavlink
@@ -453,6 +454,10 @@ def test_it_lands_where_it_is_told_to_and_disarms() -> None:
     assert any("Disarmed by landing" in t for t in b.texts())
 
 
+def pulled(newton: float, _: Point) -> np.ndarray:
+    return np.array([0.0, 0.0, newton])
+
+
 def test_a_hold_finds_its_height_under_a_load_it_does_not_know() -> None:
     """The position loop's integral carries what hangs on the cable, and lets go of it again."""
     b = bench()
@@ -460,7 +465,7 @@ def test_a_hold_finds_its_height_under_a_load_it_does_not_know() -> None:
     b.command(22)
     b.drive(6.0)
     for newton in (2.0, 0.0):
-        b.drive(8.0, lambda _, newton=newton: np.array([0.0, 0.0, newton]))
+        b.drive(8.0, partial(pulled, newton))
         assert b.point.x[2] == pytest.approx(-2.5, abs=0.05)
 
 
@@ -469,7 +474,8 @@ def test_attitude_target_shows_the_setpoint_and_the_size_of_its_thrust() -> None
     b.tick(1, target(quat_wxyz=ROLLED_QUAT))
     R_c, rates, thrust = b.snapshot().offboard_target
     np.testing.assert_allclose(R_c, ROLLED, rtol=0, atol=1e-12)
-    assert (rates.any(), thrust) == (False, 0.6)
+    assert not rates.any()
+    assert thrust == 0.6
     b.tick(1, target(thrust=-0.4))
     assert b.snapshot().offboard_target[2] == 0.4
 

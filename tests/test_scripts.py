@@ -59,10 +59,11 @@ class Kinematics:
     def __init__(self, script: str, waits: bool = True) -> None:
         flight, design = world()
         plan = plan_of(flight)
-        self.fleet: Any = ObedientFleet(len(flight.system.m))
+        self.fleet = ObedientFleet(len(flight.system.m))
         period = flight.control_us * 1e-6
         runs = script_from(script, "m.py", waits)
-        self.mission = Mission(plan, self.fleet, Contingencies(SAMPLED, {frozenset(): design}, {}), period, runs)
+        fleet: Any = self.fleet  # as much of one as a mission asks
+        self.mission = Mission(plan, fleet, Contingencies(SAMPLED, {frozenset(): design}, {}), period, runs)
         self.plan, self.period, self.now = plan, period, 0.0
         self.state = flight.initial.copy()
         self.rest = self.state.x0.copy()
@@ -217,7 +218,7 @@ def test_what_the_loop_does_for_a_script_is_done_by_the_loops_thread() -> None:
     world = Kinematics(script(*UP[:1], "fleet.say('x')"))
     seen: list[str] = []
 
-    class Events(list):  # type: ignore[type-arg]
+    class Events(list):
         def append(self, item: Any) -> None:
             if item[0] == "script":
                 seen.append(threading.current_thread().name)

@@ -5,6 +5,7 @@ import socket
 import struct
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -48,7 +49,7 @@ from sitl.firmware.telemetry import BUILD, Snapshot
 from sitl.tracker_batch import LoadReport
 
 
-def over_the_wire(value: object) -> object:
+def over_the_wire(value: object) -> Any:
     return reread(encode(value))
 
 
@@ -118,7 +119,8 @@ def test_cables_of_any_length_arrive_whole(n_links: list[int]) -> None:
         s = State(m[0], m[1], lie.exp(m[2]), m[3], q, omega, np.zeros((n, 3, 3)), still)
         report.tell(8000, row(s, still, still, tension, np.zeros(n)))
         frames = report.framed(bytes(range(len(report))), b"\x07" * len(report), 191, 0)
-    *parts, load = [decode(msgid, whole) for msgid, whole in zip(report.msgids, frames, strict=True)]
+    messages: list[Any] = [decode(msgid, whole) for msgid, whole in zip(report.msgids, frames, strict=True)]
+    *parts, load = messages
     for i, k in enumerate(n_links):
         own = [p for p in parts if p.cable == i + 1]
         assert [p.first_link for p in own] == list(range(0, k, 10))
@@ -223,9 +225,8 @@ def test_command_int_asks_what_command_long_does(frame_kind: int, place: tuple[f
     kind = mavlink.MAVLink_command_int_message
     whole = packed(kind, 3, 1, frame_kind, 400, 0, 0, 1.0, 21196.0, 0.0, 0.5, *where)
     asked = reread(whole)
-    assert asked == Command(
-        3, 1, 400, (1.0, 21196.0, 0.0, 0.5, pytest.approx(place[0]), pytest.approx(place[1]), 9.0), 0, frame_kind
-    )
+    near: list[Any] = [pytest.approx(p) for p in place]
+    assert asked == Command(3, 1, 400, (1.0, 21196.0, 0.0, 0.5, near[0], near[1], 9.0), 0, frame_kind)
 
 
 def test_signed_frames_are_those_of_pymavlink() -> None:

@@ -9,7 +9,7 @@ from bridge.wire.messages import reread
 from bridge.wire.values import IN_AIR, ON_GROUND, AttitudeTarget, Command, CommandAck, Heartbeat, StatusText
 from cablequad.model import lie
 from cablequad.model.earth import Home
-from sitl.firmware.autopilot import Actuation, Autopilot, Body, LinkKind
+from sitl.firmware.autopilot import Autopilot, Body, LinkKind
 from sitl.firmware.outbox import ATTITUDE_QUATERNION, Outgoing
 from sitl.firmware.telemetry import BUILD, Snapshot
 
@@ -32,12 +32,12 @@ class Bench:
     """One vehicle, told what the test tells it; `drive` lets it move as it asks."""
 
     def __init__(self, vehicle: Autopilot) -> None:
-        self.vehicle = vehicle
+        self.vehicle: Any = vehicle  # of either firmware, whose modes differ
         self.now = 0
         self.R, self.Omega = np.eye(3), np.zeros(3)
         self.point = Point(np.zeros(3), np.zeros(3))
         self.heard: list[Any] = []
-        self.act: Actuation | None = None
+        self.act: Any = None  # an Actuation, once it has ticked
 
     def tick(self, ticks: int = 1, target: AttitudeTarget | None = None) -> None:
         for _ in range(ticks):
@@ -63,7 +63,6 @@ class Bench:
         h = TICK * 1e-6
         for _ in range(round(seconds / h)):
             self.tick()
-            assert self.act is not None
             x, v = self.point
             if not self.act.rate_only:
                 self.R = self.act.R_c

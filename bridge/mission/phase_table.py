@@ -14,6 +14,7 @@ from bridge.mission.members.per_vehicle import clear_of
 from bridge.mission.observation import Observation
 from bridge.mission.phases import LOADED, Phase
 from bridge.mission.protection.preflight_checks import preflight_faults
+from bridge.mission.touch_down import TouchDown
 from cablequad.control.trajectory import joined, leg
 from cablequad.types import Array
 
@@ -172,7 +173,7 @@ def _stands(m: "Mission", i: Observation) -> bool:
 
 
 def _land(m: "Mission", _: Entry) -> None:
-    m.progress.touched_at = None
+    m.progress.touch_down, m.progress.touched_at = TouchDown(m.plan.scale.pushed_m), None
     spots = _landing_places(m)
     limits, down = m.limits_at(m.plan.take_off_speed), m.limits_at(m.plan.set_down_speed)
     ways = []
@@ -192,9 +193,8 @@ def _landing_places(m: "Mission") -> Array:
 
 def _landed(m: "Mission", i: Observation) -> bool:
     if m.progress.touched_at is None:
-        pushed = m.goals().x[:, 2] - i.x[:, 2] > m.plan.scale.pushed_m
-        slow = np.linalg.norm(i.v, axis=1) < m.plan.scale.slow_m_s
-        m.progress.touched_at = m.now if bool((pushed & slow).all()) else None
+        stand = m.progress.touch_down.stands(m.now, i.x[:, 2], m.goals().x[:, 2])
+        m.progress.touched_at = m.now if stand else None
     return m.fleet.all_landed
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from bridge.mission.phases import Phase
 from bridge.mission.plan_clock import PlanClock
 from bridge.mission.scale import USUAL, Scale
+from bridge.mission.touch_down import TouchDown
 from cablequad.types import Array
 
 STILL_S = 0.5
@@ -22,6 +23,7 @@ class Progress:
         self.now = 0.0  # s of the vehicles' clock
         self.clock = PlanClock(period_s)
         self.entered = 0.0  # s, when the phase began, later by as long as the plan's clock stood
+        self.touch_down = TouchDown(scale.pushed_m)  # of those that land
         self.touched_at: float | None = None  # s, when all stood that land
         self.taking = False  # what hangs on the vehicles is on its way from one to the other
         self._still_since: float | None = None

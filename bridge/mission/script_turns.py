@@ -14,10 +14,10 @@ class Wait:
     """What a script awaits."""
 
     def __init__(self, until: Until) -> None:
-        self._until = until
+        self.until = until
 
     def __await__(self) -> Generator[Until, None, None]:
-        yield self._until
+        yield self.until
 
 
 class ScriptTurns:

@@ -67,7 +67,7 @@ def _copied(source: Path, file: IO[bytes]) -> Salvaged:
                     attachment.create_time, attachment.log_time, attachment.name, attachment.media_type,
                     attachment.data,
                 )  # fmt: skip
-    writer.finish()  # type: ignore[no-untyped-call]
+    writer.finish()
     if count == 0:
         raise LogError(f"log {source}: no whole message in it; nothing to salvage")
     return Salvaged(count, damages, missing(source, count) if damages else 0, begin_ns)

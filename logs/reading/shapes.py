@@ -4,12 +4,16 @@ import re
 from collections.abc import Iterator, Mapping
 from functools import cache
 from importlib import resources
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from logs.reading.extras import extra
 from logs.reading.reader import Run
 from logs.schema.topics import TOPICS
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 MESSAGES: dict[str, str] = {topic: kind.DESCRIPTOR.name for topic, kind in TOPICS.items()}
 _MESSAGE = re.compile(r"^message (\w+) \{(.*?)^\}", re.MULTILINE | re.DOTALL)
@@ -53,16 +57,33 @@ class Arrays(Mapping[str, np.ndarray]):
     def __len__(self) -> int:
         return len(self._arrays)
 
+    def to_pandas(self) -> "pd.DataFrame":
+        """A table with an instant a row and `t` for its index; an array's numbers are columns name_0, name_1_2, ...
+
+        Indexes start at 0. Raises ImportError where pandas is not installed.
+        """
+        with extra():
+            import pandas as pd
+        return pd.DataFrame(dict(self._flat()), index=pd.Index(self["t"], name="t"))
+
+    def _flat(self) -> Iterator[tuple[str, np.ndarray]]:
+        for name, values in self._arrays.items():
+            if name != "t":
+                for at in np.ndindex(values.shape[1:]):
+                    yield "_".join((name, *map(str, at))), values[(slice(None), *at)]
+
 
 class Topic(Arrays):
     """The messages of one topic as arrays by field, each (t, ...) in the field's shape; `says` has their units."""
 
-    def __init__(self, name: str, columns: Mapping[str, np.ndarray], sizes: Mapping[str, int]) -> None:
-        """`sizes` of n and L."""
+    def __init__(self, name: str, columns: Mapping[str, np.ndarray], sizes: Mapping[str, int], release_ns: int) -> None:
+        """`sizes` of n and L; `t` is the time since the release, s."""
         self.name = name
         known = fields().get(MESSAGES.get(name, ""), {})
         self.says = {field: known[field].says for field in columns if field in known}
-        super().__init__({f: _shaped(a, known[f].shape if f in known else (), sizes) for f, a in columns.items()})
+        self.says["t"] = "s since the release"
+        shaped = {f: _shaped(a, known[f].shape if f in known else (), sizes) for f, a in columns.items()}
+        super().__init__({"t": (columns["sim_time_ns"] - release_ns) * 1e-9, **shaped})
 
     def __repr__(self) -> str:
         rows = len(next(iter(self._arrays.values()))) if self._arrays else 0
@@ -75,7 +96,7 @@ def topics(run: Run) -> dict[str, Topic]:
     plant, control = run.columns.get("/plant/state", {}), run.columns.get("/control/state", {})
     n = _width(plant.get("quad_position"), 3) or _width(control.get("Psi"), 1)
     L = _width(plant.get("link_direction", control.get("link_direction")), 3 * n) if n else 0
-    return {name: Topic(name, columns, {"n": n, "L": L}) for name, columns in run.columns.items()}
+    return {name: Topic(name, columns, {"n": n, "L": L}, run.release_ns) for name, columns in run.columns.items()}
 
 
 def _width(column: Any, each: int) -> int:

@@ -82,7 +82,7 @@ class LogFile:
 
     def flush(self) -> None:
         """Close the chunk."""
-        self.writer.flush()  # type: ignore[no-untyped-call]
+        self.writer.flush()
         self._good_offset = self._file.tell()
         now = time.monotonic()
         if now - self._synced >= SYNC_S:
@@ -91,7 +91,7 @@ class LogFile:
 
     def end(self) -> None:
         """Write everything out."""
-        self.writer.finish()  # type: ignore[no-untyped-call]
+        self.writer.finish()
         self._file.flush()
         os.fsync(self._file.fileno())
         self._file.close()

@@ -245,4 +245,4 @@ class LogWriter(Writer):
             s.channel_message_counts[channel] += count
         chunks.add_all(waiting, np.array(numbers, np.int64), publish_time, self._names)
         if chunks.record_writer._buffer.tell() >= self._most:
-            self.flush()  # type: ignore[no-untyped-call]
+            self.flush()

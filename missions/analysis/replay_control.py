@@ -28,6 +28,7 @@ from logs.writing import encode
 from missions.flight.setup import loop_of, set_up
 from missions.scenario import loading as scenarios
 from missions.scenario.loading import Flight, ScenarioError
+from missions.scenario.script import OUTSIDE
 
 SYSTEMS = 199  # ids that vehicles may have
 DECISION = ("ideal_force", "thrust", "attitude", "e_x0", "e_v0", "Psi", "e_q", "e_w", "position", "link_direction")
@@ -58,6 +59,8 @@ def flight_of(path: Path) -> Flight:
         raise LogError(f"log {path}: no scenario is attached; it was not written by cablequad or is cut at its start")
     source = run.attachments.get("scenario.toml", b"").decode()
     script = run.attachments.get("mission.py")
+    if script == OUTSIDE.encode():
+        raise LogError(f"log {path}: flown by a program that the log does not hold; its decisions cannot be made again")
     return scenarios.restored(attached.decode(), source, None if script is None else script.decode())
 
 

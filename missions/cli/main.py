@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from logs.reading.extras import missing
 from missions.cli.before_flight import check, identify, margins, preflight
-from missions.cli.exits import FAILED, INTERRUPTED, UNTESTED, fail, untested, usage
+from missions.cli.exits import FAILED, INTERRUPTED, UNTESTED, USAGE, fail, untested, usage
 from missions.cli.log_commands import log_app, report
 from missions.cli.options import (
     BackendOption,
@@ -315,9 +316,13 @@ def main() -> None:
         app()
     except KeyboardInterrupt:
         pass
-    except Exception:
+    except Exception as error:
         if not interrupted:  # else a library that it met has made an error of its own of it
-            raise
+            said = missing(error) if isinstance(error, ImportError) else None
+            if said is None:
+                raise
+            print(f"cablequad: {said}", file=sys.stderr)
+            sys.exit(USAGE)
     finally:
         for number, usual in before.items():
             signal.signal(number, usual)

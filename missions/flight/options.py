@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bridge.loop.fly import STALL_S
+from bridge.mission.mission import Script
 from bridge.wire.link import Endpoint
 from missions.flight.processes.simulate import Backend
 
@@ -25,6 +26,7 @@ class Options:
     launch: Path | None = None  # the autopilots' binary or build folder; None: somebody else starts them
     in_process: bool = False  # vehicles and log in this process and thread, joined in memory
     stall_timeout_s: float = STALL_S  # wall clock, that a simulator in lockstep may stand still
+    script: Script | None = None  # that flies a mission, instead of the flight's own
 
 
 class Progress:

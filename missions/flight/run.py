@@ -135,7 +135,7 @@ def _prepare(flight: Flight, options: Options, p: Participants, progress: Progre
     warm_up(design, flight)
     predict_once(flight)
     waits = p.lockstep or p.external
-    prepared = set_up(flight, design, options.configure, waits, _expected(flight, options))
+    prepared = set_up(flight, design, options.configure, waits, _expected(flight, options), options.script)
     if p.external:
         folder = beginning.path.with_suffix("")
         p.start_autopilots(_starts(flight, options), folder, options.launch is not None, progress)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 from bridge.fleet.fleet import Fleet, FleetOptions
 from bridge.loop.deciders import Decider, MissionDecider, Plan, PlanDecider
 from bridge.loop.state_assembly import LoopModel
-from bridge.mission.mission import Mission
+from bridge.mission.mission import Mission, Script
 from cablequad.control.design import Design
 from cablequad.control.trajectory import at
 from missions.scenario import loading as scenarios
@@ -24,12 +24,13 @@ class FlightSetup(NamedTuple):
 
 
 def set_up(
-    flight: Flight, design: Design, configure: bool, waits: bool = True, expected: tuple[Mapping[str, float], ...] = ()
-) -> FlightSetup:
+    flight: Flight, design: Design, configure: bool, waits: bool = True,
+    expected: tuple[Mapping[str, float], ...] = (), script: Script | None = None,
+) -> FlightSetup:  # fmt: skip
     """What flies the flight; `configure`: parameters that a vehicle needs to be flown are set.
 
     `waits`: the vehicles' clock waits for the controller, and so for a script. `expected`: parameters that each vehicle
-    was started with, to be read back.
+    was started with, to be read back. `script`: what flies a mission, instead of the flight's own.
     """
     s, loop = flight.scenario, loop_of(flight)
     grounded, airborne = s.mission is not None, s.mission is not None and s.mission.start == "air"
@@ -41,7 +42,7 @@ def set_up(
     if not grounded:
         plan = Plan(lambda t: at(flight.trajectory, t), s.duration_s, flight.trajectory.duration)
         return FlightSetup(fleet, PlanDecider(plan, fleet, loop, scenarios.law_of(flight), design), loop, None)
-    mission = mission_of(flight, fleet, design, script_of(flight, waits))
+    mission = mission_of(flight, fleet, design, script or script_of(flight, waits))
     return FlightSetup(fleet, MissionDecider(mission, loop, design), loop, mission)
 
 

@@ -15,7 +15,7 @@ import inspect
 import math
 from collections.abc import Callable, Coroutine, Generator
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, Protocol, TypeVar
 
 import numpy as np
 
@@ -26,10 +26,20 @@ from missions.scenario.script_runner import Ended, ScriptRunner, ScriptStopped
 
 DEFAULT = "ground-to-ground"
 MOST_TILT_DEG = 30.0
+OUTSIDE = '"""Flown by a program that is no part of this log, by cablequad.flying."""\n'  # in the place of a script
+
+T = TypeVar("T")
 
 
 class ScriptError(ValueError):
     """A script that cannot be run; the message says which line and why."""
+
+
+class Caller(Protocol):
+    """Has things done by the control loop, between two decisions."""
+
+    def call(self, job: Callable[[], T]) -> T:
+        """What `job` returns, or raises."""
 
 
 class FleetOf:
@@ -38,47 +48,47 @@ class FleetOf:
     What is asked for and cannot be raises ValueError (an argument) or MissionError (not now, not there) at its line.
     """
 
-    def __init__(self, mission: Mission, runner: ScriptRunner) -> None:
-        self._mission, self._runner = mission, runner
+    def __init__(self, mission: Mission, caller: Caller) -> None:
+        self._mission, self._caller = mission, caller
 
     # what is known
 
     @property
     def time_s(self) -> float:
         """The vehicles' clock."""
-        return self._runner.call(lambda: self._mission.now)
+        return self._caller.call(lambda: self._mission.now)
 
     @property
     def phase(self) -> str:
         """The phase of the mission."""
-        return self._runner.call(lambda: str(self._mission.phase or ""))
+        return self._caller.call(lambda: str(self._mission.phase or ""))
 
     @property
     def load_m(self) -> tuple[float, float, float]:
         """Where the load is."""
-        where = self._runner.call(lambda: self._mission.load_m)
+        where = self._caller.call(lambda: self._mission.load_m)
         assert where is not None  # a script begins with the first decision
         return where
 
     @property
     def vehicles_m(self) -> list[tuple[float, float, float]]:
         """Where the vehicles are that are not lost."""
-        return [(x, y, z) for x, y, z in self._runner.call(lambda: self._mission.here.x.tolist())]
+        return [(x, y, z) for x, y, z in self._caller.call(lambda: self._mission.here.x.tolist())]
 
     @property
     def tensions_N(self) -> list[float]:
         """What the cables bear at the load, told by the tracker or, where it tells none, by what vehicles give."""
-        return self._runner.call(lambda: self._mission.tensions(self._mission.here).tolist())
+        return self._caller.call(lambda: self._mission.tensions(self._mission.here).tolist())
 
     @property
     def batteries(self) -> list[float]:
         """0 .. 1, of every vehicle."""
-        return self._runner.call(lambda: list(self._mission.fleet.batteries))
+        return self._caller.call(lambda: list(self._mission.fleet.batteries))
 
     @property
     def lost(self) -> dict[int, str]:
         """Vehicles (from 1) that were lost, and why."""
-        return self._runner.call(lambda: {k + 1: why for k, why in self._mission.lost.items()})
+        return self._caller.call(lambda: {k + 1: why for k, why in self._mission.lost.items()})
 
     # what is asked; each begins at once, and is awaited for its end
 
@@ -114,7 +124,7 @@ class FleetOf:
         """Here, or at a place."""
         if x is None and y is None and yaw_deg is None:
             return self._begin(Phase.SET_DOWN)
-        at = self._runner.call(lambda: self._mission.led)
+        at = self._caller.call(lambda: self._mission.led)
         to = self._place(at[0] if x is None else x, at[1] if y is None else y, at[2], yaw_deg)
         return self._begin(Phase.SET_DOWN, to)
 
@@ -141,35 +151,35 @@ class FleetOf:
 
     def pause(self) -> None:
         """Stop the load on its way."""
-        self._runner.call(self._mission.pause)
+        self._caller.call(self._mission.pause)
 
     def resume(self) -> None:
         """Let it go on."""
-        self._runner.call(self._mission.resume)
+        self._caller.call(self._mission.resume)
 
     def abort(self, why: str = "the script gave up") -> NoReturn:
         """Come to the ground from here, in order; the script ends."""
-        self._runner.call(lambda: self._mission.abort(str(why)))
+        self._caller.call(lambda: self._mission.abort(str(why)))
         raise ScriptStopped
 
     def say(self, text: object) -> None:
         """A line for the user, and in the log."""
         line = str(text)
-        self._runner.call(lambda: self._mission.events.append(("script", "all", line)))
+        self._caller.call(lambda: self._mission.events.append(("script", "all", line)))
 
     def _begin(self, phase: Phase, to: list[float] | None = None) -> Wait:
-        return self._runner.call(lambda: self._mission.begin(phase, to))
+        return self._caller.call(lambda: self._mission.begin(phase, to))
 
     def _for(self, what: Callable[[float], Wait], seconds: float) -> Wait:
         duration = _finite("seconds", seconds)
         if duration < 0.0:
             raise ValueError(f"seconds: {seconds!r} given; 0 or more are needed")
-        return self._runner.call(lambda: what(duration))
+        return self._caller.call(lambda: what(duration))
 
     def _place(self, x: float, y: float, z: float, yaw_deg: float | None) -> list[float]:
         place = [_finite("x", x), _finite("y", y), _finite("z", z)]
         if yaw_deg is None:
-            return [*place, self._runner.call(lambda: self._mission.led[3])]
+            return [*place, self._caller.call(lambda: self._mission.led[3])]
         return [*place, math.radians(_finite("yaw_deg", yaw_deg))]
 
 
@@ -197,17 +207,22 @@ def script_from(source: str, name: str, waits: bool = True) -> Script:
             raise MissionError(f"{at}: {ended.stuck}")
         if ended.error is not None:
             raise MissionError(_where(name, ended.error))
-        if mission.phase is Phase.DISARM:  # asked for, perhaps not awaited
-            await Wait(lambda: mission.phase_done)
-        elif mission.phase is Phase.LAND and mission.phase_done:
-            await mission.begin(Phase.DISARM)
-        elif mission.phase not in (None, Phase.PREFLIGHT):
-            raise MissionError(f"{at}: main(fleet) returned after this line, in phase {mission.phase}")
+        await ended_in_order(mission, f"{at}: main(fleet) returned after this line")
 
     def started(mission: Mission) -> Coroutine[Any, Any, None]:
         return run(mission)
 
     return started
+
+
+async def ended_in_order(mission: Mission, what: str) -> None:
+    """What is left to do once nobody asks for more. Raises MissionError, beginning with `what`, where it flies."""
+    if mission.phase is Phase.DISARM:  # asked for, perhaps not awaited
+        await Wait(lambda: mission.phase_done)
+    elif mission.phase is Phase.LAND and mission.phase_done:
+        await mission.begin(Phase.DISARM)
+    elif mission.phase not in (None, Phase.PREFLIGHT):
+        raise MissionError(f"{what}, in phase {mission.phase}")
 
 
 class _Driven:

@@ -12,6 +12,7 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 os.environ["MAVLINK20"] = "1"
 from pymavlink import mavutil
@@ -56,11 +57,11 @@ def until(what: str, done: Callable[[list], bool], again: str = "", seconds: flo
     raise AssertionError(f"waited {seconds:.0f} s for: {what}\n{(folder / 'out.txt').read_text()[-2000:]}")
 
 
-def last(messages: list, kind: str, system: int = 3) -> object:
+def last(messages: list, kind: str, system: int = 3) -> Any:
     return next((m for m in reversed(messages) if m.get_type() == kind and m.get_srcSystem() == system), None)
 
 
-def beat(messages: list, test: Callable[[object], bool]) -> bool:
+def beat(messages: list, test: Callable[[Any], bool]) -> bool:
     shown = last(messages, "HEARTBEAT")
     return shown is not None and test(shown)
 

@@ -2,7 +2,8 @@
 
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import partial
 
 from mavsdk import ComponentType, Configuration, Mavsdk
 from mavsdk.plugins.action import Action
@@ -41,7 +42,15 @@ telemetry.set_rate_position_velocity_ned(20.0)
 telemetry.set_rate_in_air(10.0)
 before = telemetry.attitude_quaternion().timestamp_us
 until("telemetry changes", lambda: telemetry.attitude_quaternion().timestamp_us > before > 0 or not before)
-stamps = {telemetry.attitude_quaternion().timestamp_us for _ in range(20) if time.sleep(0.05) is None}
+
+
+def paced(times: int) -> Iterator[None]:
+    for _ in range(times):
+        time.sleep(0.05)
+        yield
+
+
+stamps = {telemetry.attitude_quaternion().timestamp_us for _ in paced(20)}
 assert len(stamps) > 8, stamps
 names = param.get_all_params()
 known = {p.name for p in names.int_params} | {p.name for p in names.float_params}
@@ -62,18 +71,25 @@ def insists(call: Callable[[], object]) -> bool:
     return True
 
 
+def tilted(roll: float, pitch: float) -> bool:
+    now = telemetry.attitude_euler()
+    return abs(now.roll_deg - roll) < 2.0 and abs(now.pitch_deg - pitch) < 2.0
+
+
+def moved(axis: str, start: float) -> bool:
+    return bool(getattr(telemetry.position_velocity_ned().position, axis) - start > 0.3)
+
+
 until("offboard", lambda: insists(offboard.start))
 until("armed", lambda: insists(action.arm))
 until("shown as armed", telemetry.armed)
 for roll, pitch, axis in ((12.0, 0.0, "east_m"), (0.0, -12.0, "north_m")):
     offboard.set_attitude(Attitude(roll, pitch, 0.0, 0.62 if PERSONA == "px4" else 0.34))
-    until(f"roll {roll:g}, pitch {pitch:g} as asked", lambda roll=roll, pitch=pitch: (
-        abs(telemetry.attitude_euler().roll_deg - roll) < 2.0 and abs(telemetry.attitude_euler().pitch_deg - pitch) < 2.0
-    ))  # fmt: skip
+    until(f"roll {roll:g}, pitch {pitch:g} as asked", partial(tilted, roll, pitch))
     start = getattr(telemetry.position_velocity_ned().position, axis)
     until(
         f"goes {axis}",
-        lambda axis=axis, start=start: getattr(telemetry.position_velocity_ned().position, axis) - start > 0.3,
+        partial(moved, axis, start),
     )
 until("in the air", telemetry.in_air)
 

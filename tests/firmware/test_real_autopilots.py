@@ -125,6 +125,7 @@ def test_the_lines_that_are_printed_start_them_and_fly_connects(backend: tuple[s
     served = Command("sitl", "paper-case-1-50hz", "--backend", name)
     lines: list[str] = []
     while len(lines) < 4:
+        assert served.process.stdout is not None
         line = served.process.stdout.readline()
         if line.strip().startswith("(cd"):
             lines.append(line.strip())
@@ -168,6 +169,7 @@ def _in_carry(name: str, path: str, folder: Path, *more: str) -> tuple[Command, 
         "fly", "ground-to-ground", "--backend", name, "--launch", path, "--json", "--no-replay", "--out", str(folder),
         *more,
     )  # fmt: skip
+    assert flying.process.stderr is not None
     for line in flying.process.stderr:
         if "phase: carry" in line:
             break

@@ -22,6 +22,7 @@ import socket
 import struct
 import sys
 import time
+from typing import Any
 
 from pymavlink.dialects.v20 import common as mav
 
@@ -43,13 +44,13 @@ HERE = pathlib.Path(__file__).parent
 FIELD = (0.2158, 0.0121, 0.4335)  # gauss, NED
 
 
-def mul(a, b):
+def mul(a: Any, b: Any) -> Any:
     w, x, y, z = a
     p, q, r, s = b
     return (w*p - x*q - y*r - z*s, w*q + x*p + y*s - z*r, w*r - x*s + y*p + z*q, w*s + x*r - y*q + z*p)  # fmt: skip
 
 
-def rotate(q, v):
+def rotate(q: Any, v: Any) -> Any:
     """v of the body in the world."""
     w, x, y, z = q
     a, b, c = v
@@ -57,15 +58,15 @@ def rotate(q, v):
     return (a + w * tx + y * tz - z * ty, b + w * ty + z * tx - x * tz, c + w * tz + x * ty - y * tx)
 
 
-def conj(q):
+def conj(q: Any) -> Any:
     return (q[0], -q[1], -q[2], -q[3])
 
 
-def cross(a, b):
+def cross(a: Any, b: Any) -> Any:
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
-def unit(q):
+def unit(q: Any) -> Any:
     n = math.sqrt(sum(c * c for c in q))
     return tuple(c / n for c in q)
 
@@ -73,27 +74,30 @@ def unit(q):
 class Estimate:
     """q (body to NED), gyro, x, v, and whether they may be used."""
 
-    def __init__(self):
-        self.q, self.w, self.x, self.v = (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    def __init__(self) -> None:
+        self.q: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0)
+        self.w: tuple[float, ...] = (0.0, 0.0, 0.0)
+        self.x: tuple[float, ...] = (0.0, 0.0, 0.0)
+        self.v: tuple[float, ...] = (0.0, 0.0, 0.0)
         self.f = (0.0, 0.0, -G)
-        self.origin = None  # lat, lon, alt
+        self.origin: Any = None  # lat, lon, alt
         self.begun = False
 
 
 class Filter(Estimate):
     """From gyroscope, accelerometer, magnetometer and GPS."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         super().__init__()
         self.bias = [0.0, 0.0, 0.0]
         self.before = (0.0, 0.0, 0.0)  # of the gyroscope, so that what it turned between two is the mean of both
-        self.a = (0.0, 0.0, 0.0)  # from GPS, NED
+        self.a: tuple[float, ...] = (0.0, 0.0, 0.0)  # from GPS, NED
         self.still = True  # disarmed, on the ground
-        self.last_v = None
+        self.last_v: Any = None
         self.fixes = 0
         self.rested = 0  # samples
 
-    def imu(self, m, dt):
+    def imu(self, m: Any, dt: float) -> None:
         acc, gyro = (m.xacc, m.yacc, m.zacc), (m.xgyro, m.ygyro, m.zgyro)
         if m.fields_updated & 0x1C0:
             self.mag = (m.xmag, m.ymag, m.zmag)
@@ -131,7 +135,7 @@ class Filter(Estimate):
         self.x = tuple(x + v * dt for x, v in zip(self.x, self.v))
         self.v = tuple(v + c * dt for v, c in zip(self.v, a))
 
-    def gps(self, m):
+    def gps(self, m: Any) -> None:
         v = (m.vn / 100, m.ve / 100, m.vd / 100)
         place = (m.lat * 1e-7, m.lon * 1e-7, m.alt * 1e-3)
         if self.origin is None:
@@ -151,7 +155,7 @@ class Filter(Estimate):
 class Copter:
     """Everything of a flight controller but its physics interface."""
 
-    def __init__(self, options, px4):
+    def __init__(self, options: argparse.Namespace, px4: bool) -> None:
         self.o, self.px4 = options, px4
         self.system = options.instance + 1
         self.out = mav.MAVLink(None, self.system, 1)
@@ -161,15 +165,16 @@ class Copter:
         self.socket.bind(("127.0.0.1", 0))
         self.socket.setblocking(False)
         self.peer = ("127.0.0.1", options.mavlink)
-        self.e = Filter() if px4 else Estimate()
+        self.e: Any = Filter() if px4 else Estimate()
         self.us = 0  # since boot
         self.every = {0: 1_000_000}
         self.next = {0: 0}
         self.armed, self.mode = False, (4 << 16 | 3 << 24) if px4 else 0
         self.target, self.target_us = None, -(10**9)
-        self.hold = None
+        self.hold: Any = None
+        self.pwm = [0] * 4
         self.sum = [0.0, 0.0, 0.0]
-        self.landed, self.quiet_us = True, 0
+        self.landed, self.quiet_us = True, 0.0
         names = (HERE / ("px4-parameters.txt" if px4 else "arducopter-parameters.txt")).read_text().split("\n")
         self.kinds = {line.split()[0]: line.endswith("int32_t") for line in names if line}
         self.parameters = dict.fromkeys(self.kinds, 0.0)
@@ -184,19 +189,19 @@ class Copter:
         held = HOLD_S[px4]  # a torque stands until the next: half of that is a delay in both loops
         self.rate_p = 1 / (held + 1 / (2 * z * w + held * w * w))
         self.angle_p = w * w * (1 / self.rate_p - held)
-        self.coming = []  # setpoints that do not act yet
+        self.coming: list[Any] = []  # setpoints that do not act yet
         self.booted = False
         self.share = 0.0
         self.answered = 0
 
     # -- parameters ---------------------------------------------------------------------------------------------------
 
-    def calibrate(self):
+    def calibrate(self) -> None:
         """As one that somebody calibrated."""
         for k in ("", "2"):
             self.parameters |= {f"INS_ACC{k}OFFS_X": 0.001, f"INS_ACC{k}SCAL_X": 1.001, f"COMPASS_OFS{k}_X": 5.0}
 
-    def load(self, path):
+    def load(self, path: Any) -> None:
         """A file of defaults, or of PX4's PX4_PARAM_ variables: what it does not know it tells on its terminal."""
         for line in pathlib.Path(path).read_text().splitlines():
             name, value = line.split()
@@ -206,21 +211,21 @@ class Copter:
                 print("Ignored unknown param", name, flush=True)
 
     @property
-    def calibrated(self):
+    def calibrated(self) -> Any:
         """No accelerometer that is there may be without a calibration, none that is not may have one."""
         done = [self.parameters[f"INS_ACC{k}OFFS_X"] != 0.0 for k in ("", "2", "3")]
         return done == [k < IMUS for k in range(3)]
 
     # -- MAVLink ------------------------------------------------------------------------------------------------------
 
-    def say(self, message):
+    def say(self, message: Any) -> None:
         self.socket.sendto(message.pack(self.out), self.peer)
         self.out.seq = (self.out.seq + 1) % 256
 
-    def text(self, words, severity=2):
+    def text(self, words: str, severity: int = 2) -> None:
         self.say(mav.MAVLink_statustext_message(severity, words.encode()))
 
-    def hear(self):
+    def hear(self) -> None:
         while True:
             try:
                 data = self.socket.recv(4096)
@@ -229,7 +234,7 @@ class Copter:
             for m in self.parser.parse_buffer(data) or []:
                 self.take(m)
 
-    def take(self, m):
+    def take(self, m: Any) -> None:
         kind = m.get_type()
         if kind == "SET_ATTITUDE_TARGET" and m.target_system == self.system:
             if m.type_mask == 7 and abs(sum(c * c for c in m.q) - 1) < 1e-3:
@@ -249,14 +254,14 @@ class Copter:
             self.parameters[m.param_id] = bits(m.param_value) if whole else m.param_value
             self.tell(m.param_id)
 
-    def tell(self, name):
+    def tell(self, name: str) -> None:
         if name in self.parameters:
             value, kind = self.parameters[name], 9
             if self.px4 and self.kinds[name]:
                 value, kind = struct.unpack("<f", struct.pack("<i", int(value)))[0], 6
             self.say(mav.MAVLink_param_value_message(name.encode(), value, kind, len(self.parameters), 0))
 
-    def obey(self, command, a, b, c):
+    def obey(self, command: int, a: Any, b: Any, c: Any) -> Any:
         if command == 511:
             number = int(a)
             if number not in (PX4_HAS if self.px4 else COPTER_HAS):
@@ -295,46 +300,46 @@ class Copter:
         return [3]
 
     @property
-    def ready(self):
+    def ready(self) -> Any:
         return self.us > self.o.ready * 1e6 and (self.e.begun or not self.px4)
 
-    def stream(self):
+    def stream(self) -> None:
         for number, every in list(self.every.items()):
             if self.us >= self.next[number]:
                 self.next[number] += every * max(1, math.ceil((self.us - self.next[number] - every) / every))
                 STREAMS[number](self)
 
-    def heartbeat(self):
+    def heartbeat(self) -> None:
         base = 1 | (128 if self.armed else 0) | (16 if self.armed else 0)
         self.say(mav.MAVLink_heartbeat_message(2, 12 if self.px4 else 3, base, self.mode, 4 if self.armed else 3, 3))
 
-    def attitude(self):
+    def attitude(self) -> None:
         self.say(mav.MAVLink_attitude_quaternion_message(self.us // 1000, *self.e.q, *self.e.w))
 
-    def position(self):
+    def position(self) -> None:
         if self.ready:
             self.say(mav.MAVLink_local_position_ned_message(self.us // 1000, *self.e.x, *self.e.v))
 
-    def origin(self):
+    def origin(self) -> None:
         if self.e.origin is not None:
             lat, lon, alt = self.e.origin
             self.say(mav.MAVLink_gps_global_origin_message(round(lat * 1e7), round(lon * 1e7), round(alt * 1e3)))
 
-    def imu(self):
+    def imu(self) -> None:
         self.say(mav.MAVLink_highres_imu_message(self.us, *self.e.f, *self.e.w, 0, 0, 0, 0, 0, 0, 0, 63))
 
-    def landed_state(self):
+    def landed_state(self) -> None:
         self.say(mav.MAVLink_extended_sys_state_message(0, 1 if self.landed else 2))
 
-    def servos(self):
+    def servos(self) -> None:
         self.say(mav.MAVLink_servo_output_raw_message(self.us % 2**32, 0, *self.pwm, 0, 0, 0, 0))
 
-    def battery(self):
+    def battery(self) -> None:
         self.say(mav.MAVLink_sys_status_message(0, 0, 0, 100, 16000, 100, 90, 0, 0, 0, 0, 0, 0))
 
     # -- flying -------------------------------------------------------------------------------------------------------
 
-    def control(self, dt):
+    def control(self, dt: float) -> Any:
         """Shares of the greatest thrust of the four rotors."""
         while self.coming and self.coming[0][0] <= self.us:
             self.target = self.coming.pop(0)[1]
@@ -374,7 +379,7 @@ class Copter:
         turn = [max(-0.1, min(0.1, c)) for c in turn]
         return tuple(min(1.0, max(0.0, self.share + scale * a + b)) for a, b in zip(tilt, turn))
 
-    def by_itself(self, dt):
+    def by_itself(self, dt: float) -> Any:
         """Hold the place, or come down."""
         if self.hold is None:
             self.hold = list(self.e.x)
@@ -390,7 +395,7 @@ class Copter:
         q = unit((1 + z[2], -z[1], z[0], 0.0))
         return q, self.o.mass * n / (DENSITY * self.o.max_thrust)
 
-    def note(self, dt):
+    def note(self, dt: float) -> None:
         """Whether it stands: little thrust for a while."""
         low = self.share * DENSITY * self.o.max_thrust < 0.6 * self.o.mass * G
         self.quiet_us = self.quiet_us + dt * 1e6 if low else 0
@@ -399,7 +404,7 @@ class Copter:
             self.armed = False
 
 
-def bits(value):
+def bits(value: float) -> Any:
     """The integer whose bits stand in a float."""
     return float(struct.unpack("<i", struct.pack("<f", value))[0])
 
@@ -415,10 +420,11 @@ STREAMS = {
 class Capture:
     """Packets of a stretch of time, a line each: in or out as the physics sees it, and hex."""
 
-    def __init__(self, o):
-        self.o, self.lines = o, []
+    def __init__(self, o: argparse.Namespace) -> None:
+        self.o = o
+        self.lines: list[str] = []
 
-    def note(self, t, way, data):
+    def note(self, t: float, way: str, data: bytes) -> None:
         if self.o.capture and self.o.capture_from <= t < self.o.capture_from + self.o.capture_for:
             self.lines.append(f"{way} {data.hex()}")
         elif self.lines:
@@ -427,7 +433,7 @@ class Capture:
             self.lines = []
 
 
-def throw(to, data):
+def throw(to: Any, data: bytes) -> None:
     """Send, whether anybody is there yet or not."""
     try:
         to.send(data)
@@ -435,14 +441,15 @@ def throw(to, data):
         time.sleep(0.05)
 
 
-def ardupilot(o):
+def ardupilot(o: argparse.Namespace) -> None:
     copter = Copter(o, False)
     physics = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     physics.connect(("127.0.0.1", o.physics))
     physics.settimeout(1.0)
     frame, last, boot, shares = 0, None, None, (0.0,) * 4
     home = (47.397742, 8.545594, 488.0)
-    begun, start, capture = time.monotonic(), None, Capture(o)
+    start: Any = None
+    begun, capture = time.monotonic(), Capture(o)
     while True:
         if time.monotonic() - begun > 120:
             return
@@ -509,13 +516,12 @@ def ardupilot(o):
                 time.sleep(ahead)
 
 
-def px4(o):
+def px4(o: argparse.Namespace) -> None:
     if o.etc is not None and not (
         pathlib.Path(o.etc).is_absolute() and (pathlib.Path(o.etc) / "init.d-posix/rcS").exists()
     ):
         sys.exit(f"ERROR: no start script at {o.etc}/init.d-posix/rcS")
     copter = Copter(o, True)
-    copter.pwm = [0] * 4
     deadline = time.monotonic() + 120
     while True:
         physics = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
@@ -574,7 +580,7 @@ def px4(o):
             physics.sendall(answer)
 
 
-def main():
+def main() -> None:
     p = argparse.ArgumentParser()
     p.add_argument("kind", choices=("ardupilot", "px4"))
     p.add_argument("--instance", type=int, default=0)

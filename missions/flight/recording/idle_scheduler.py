@@ -17,7 +17,10 @@ class Work(Protocol):
     """What is done, in steps."""
 
     leave: bool  # asked to return after this step
-    done: bool
+
+    @property
+    def done(self) -> bool:
+        """Whether nothing is left."""
 
     @property
     def late(self) -> bool:
