@@ -1,8 +1,9 @@
-"""Real-time factor of the joint lockstep: stand-ins for four autopilots, each a process of its own, as fast as they go.
+"""Real-time factor of the joint lockstep: stand-ins for autopilots, each a process of its own, as fast as they go.
 
-python -m benchmarks.autopilots
+python -m benchmarks.autopilots [SCENARIO ...]
 """
 
+import argparse
 import json
 import subprocess
 import sys
@@ -51,10 +52,13 @@ def factor(scenario: str, backend: str, n: int) -> float:
 
 def main() -> None:
     """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("scenarios", nargs="*", help="which; all where none is given")
+    asked = parser.parse_args().scenarios
     table = Table(title="real-time factor with stand-ins for autopilots")
     for column in ("scenario", "backend", "vehicles", "x real time"):
         table.add_column(column)
-    for scenario, backend, n in FLIGHTS:
+    for scenario, backend, n in (f for f in FLIGHTS if not asked or f[0] in asked):
         table.add_row(scenario, backend, str(n), f"{factor(scenario, backend, n):.2f}")
     Console().print(table)
 

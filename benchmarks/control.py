@@ -1,4 +1,4 @@
-"""Every scenario that ships, flown over the socket with our law and with the paper's: `python -m benchmarks.control`.
+"""Every scenario that ships, flown with our law and with the paper's: `python -m benchmarks.control [SCENARIO ...]`.
 
 Figures are those of the log's truth. The prototype's are those that the design notes give for a discrete LQR of the
 same loop without prediction, reference shaping or integral action. `--out FILE` writes them as JSON.
@@ -50,7 +50,7 @@ def flown(name: str, law: str, folder: Path) -> dict[str, Any]:
     path = folder / f"{name}-{law}.toml"
     path.write_text(source)
     flight = scenarios.load(str(path))
-    summary, _ = run(flight, Options(out=folder), Progress())
+    summary, _ = run(flight, Options(out=folder, in_process=True), Progress())
     out: dict[str, Any] = {
         "scenario": name, "law": law, "passed": summary.passed, "reason": summary.reason, "flown_s": summary.flown_s,
         "max_psi": summary.max_psi, "max_thrust_N": summary.max_thrust_N, "rms_m": summary.rms_tracking_error_m,
@@ -78,7 +78,7 @@ def main() -> None:
     parser.add_argument("scenarios", nargs="*", help="which; all that ship where none is given")
     parser.add_argument("--out", type=Path)
     arguments = parser.parse_args()
-    table = Table(title="every scenario that ships, over the socket", title_justify="left")
+    table = Table(title="scenarios flown in process", title_justify="left")
     for heading in ("scenario", "law", "verdict", *(shown[1] for shown in SHOWN)):
         table.add_column(heading, justify="left" if heading in ("scenario", "law") else "right")
     found = []

@@ -109,6 +109,7 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("folder", type=Path)
     parser.add_argument("--seeds", type=int, default=SEEDS)
+    parser.add_argument("--flights", nargs="*", default=FLIGHTS)
     given = parser.parse_args()
     table = Table(title="the load's position, real flight against persona", title_justify="left")
     for column in (
@@ -117,7 +118,7 @@ def main() -> None:
     ):  # fmt: skip
         table.add_column(column)
     for firmware in PERSONAS:
-        for name in FLIGHTS:
+        for name in given.flights:
             run = read(given.folder / f"{firmware}-{name}" / "run.mcap")
             scenario = begun(run, json.loads(run.attachments["scenario.json"]))
             real = motion(run)

@@ -6,13 +6,14 @@ Nothing in the controller was chosen on these: vehicles, masses, cables, attitud
 import argparse
 import json
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from missions.analysis.margins import measure
+from missions.analysis.margins import BISECTIONS, measure
 from missions.flight.terminal import margin_text
 from missions.scenario import loading as scenarios
 
@@ -63,18 +64,17 @@ def main() -> None:
     parser.add_argument("--systems", type=int, default=3)
     parser.add_argument("--first", type=int, default=101, help="seed of the first")
     parser.add_argument("--out", type=Path)
+    parser.add_argument("--bisections", type=int, default=BISECTIONS, help="of a measured margin")
     arguments = parser.parse_args()
     found: list[dict[str, Any]] = []
     table = Table(title="margins of systems drawn at random: predicted / measured", title_justify="left")
     table.add_column("system")
     for seed in range(arguments.first, arguments.first + arguments.systems):
-        path = Path(f"drawn-{seed}.toml")
-        path.write_text(drawn(seed))
-        try:
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / f"drawn-{seed}.toml"
+            path.write_text(drawn(seed))
             flight = scenarios.load(str(path))
-        finally:
-            path.unlink()
-        found.append({**measure(flight), "description": flight.scenario.description})
+        found.append({**measure(flight, bisections=arguments.bisections), "description": flight.scenario.description})
         rows = found[-1]["margins"]
         if len(found) == 1:
             for row in rows:

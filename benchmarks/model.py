@@ -4,6 +4,7 @@ Prints tables and writes them as JSON (benchmarks/results/model.json).
 """
 
 import argparse
+import importlib
 import json
 import os
 import subprocess
@@ -121,10 +122,10 @@ def best(run: Callable[[], object], per: int, repeats: int = 5) -> float:
     return min(times) / per * 1e6
 
 
-def sizes() -> list[dict[str, Any]]:
+def sizes(short: bool) -> list[dict[str, Any]]:
     """One evaluation and one RK4 step with held controls, beside MuJoCo's RK4 step."""
     rows = []
-    for n, links in SIZES:
+    for n, links in SIZES[:2] if short else SIZES:
         system = ring(n, links)
         state, command = swinging(system), hover(system)
         work: Scratch = scratch(system, state)
@@ -164,9 +165,9 @@ def sizes() -> list[dict[str, Any]]:
     return rows
 
 
-def linearity() -> dict:
+def linearity(short: bool) -> dict:
     """Cost against links for four cables: the exponent of a power law through 5 .. 320 links a cable."""
-    counts = np.array([5, 10, 20, 40, 80, 160, 320])
+    counts = np.array([5, 40, 320] if short else [5, 10, 20, 40, 80, 160, 320])
     costs = []
     for links in counts:
         system = ring(4, int(links))
@@ -186,7 +187,7 @@ def linearity() -> dict:
     return {"links": counts.tolist(), "step_us": costs, "exponent": exponent, "exponent_of_cables": linked}
 
 
-def precision() -> list[dict]:
+def precision(short: bool) -> list[dict]:
     """Error of the load's and the vehicles' positions after 2 s against wall time, ours and MuJoCo's."""
     system = System.paper(1)
     start, command = swinging(system), hover(system)
@@ -194,7 +195,7 @@ def precision() -> list[dict]:
     advance(system, judge, command, 2.5e-5, 80_000, scratch(system, judge))
     truth = np.vstack([judge.x0[None], positions(system, judge)[:, 0]])
     rows: list[dict[str, Any]] = []
-    for h in (4e-3, 2e-3, 1e-3, 5e-4, 2.5e-4):
+    for h in (4e-3, 2e-3, 1e-3, 5e-4, 2.5e-4)[: 2 if short else None]:
         steps = round(2.0 / h)
         state = start.copy()
         work = scratch(system, state)
@@ -239,7 +240,7 @@ def _flights(count: int) -> None:
             pass
 
 
-def flights() -> dict:
+def flights(short: bool) -> dict:
     """Closed loop without a wire: Case 1, 10 s, 1 ms steps, decisions at 250 Hz, law = paper; and batches of it."""
     system = System.paper(1)
     airframe = Airframe(np.full(4, 40.0), np.full(4, 0.9), np.full(4, 25.0))
@@ -256,16 +257,18 @@ def flights() -> dict:
     cores = os.cpu_count() or 1
     _flights(1)
     begun = time.perf_counter()
-    _flights(20)
-    lone = (time.perf_counter() - begun) / 20
-    spread(_flights, [1] * cores)
+    few, many = (1, 3) if short else (10, 60)
+    _flights(2 * few)
+    lone = (time.perf_counter() - begun) / (2 * few)
+    many_flights = importlib.import_module("benchmarks.model")._flights  # as other processes find it
+    spread(many_flights, [1] * cores)
 
     def pooled(each: int) -> float:
         begun = time.perf_counter()
-        spread(_flights, [each] * cores)
+        spread(many_flights, [each] * cores)
         return time.perf_counter() - begun
 
-    together = (pooled(60) - pooled(10)) / (50 * cores)  # the processes' start taken off
+    together = (pooled(many) - pooled(few)) / ((many - few) * cores)  # the processes' start taken off
     work = [scratch(system, start) for _ in range(cores)]
     states = [start.copy() for _ in range(cores)]
 
@@ -288,12 +291,12 @@ def flights() -> dict:
     }  # fmt: skip
 
 
-def phases() -> dict:
+def phases(short: bool) -> dict:
     """ns per part of one RK4 step of the paper's system: where the time goes."""
     system = System.paper(1)
     state, command = swinging(system), hover(system)
     work = scratch(system, state)
-    k = 20_000
+    k = 1_000 if short else 20_000
     parts = {}
     for name, loop in (
         ("sweep down (4 x)", _loop_down), ("payload's 6 x 6 (4 x)", _loop_payload), ("sweep up (4 x)", _loop_up),
@@ -328,12 +331,12 @@ def drift() -> dict:
     return {"change_J": change, "kinetic_end_J": fallen, "scale_start_J": scale}
 
 
-def starts() -> dict:
+def starts(short: bool) -> dict:
     """Seconds until a command shows its first line and until it is back, with compiled code cached."""
     out = {}
     for name, arguments in (("help", ["--help"]), ("check", ["check", "paper-case-1", "--quick"])):
         firsts, wholes = [], []
-        for _ in range(3):
+        for _ in range(1 if short else 3):
             begun = time.perf_counter()
             child = subprocess.Popen([sys.executable, "-m", "missions.cli.main", *arguments], stdout=subprocess.PIPE)
             assert child.stdout is not None
@@ -350,15 +353,17 @@ def main() -> None:
     """All tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results" / "model.json")
-    out: Path = parser.parse_args().out
+    parser.add_argument("--short", action="store_true", help="a few seconds: whether it works, not what it costs")
+    given = parser.parse_args()
+    out, short = given.out, given.short
     results = {
-        "sizes": sizes(),
-        "linearity": linearity(),
-        "phases_ns": phases(),
-        "precision": precision(),
+        "sizes": sizes(short),
+        "linearity": linearity(short),
+        "phases_ns": phases(short),
+        "precision": precision(short),
         "drift": drift(),
-        "flights": flights(),
-        "starts": starts(),
+        "flights": flights(short),
+        "starts": starts(short),
     }
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text(json.dumps(results, indent=1) + "\n")

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 from mcap.writer import CompressionType, Writer
 from rich.console import Console
 from rich.table import Table
@@ -34,8 +35,8 @@ WARM_S = 4.0  # of a flight's clock, before which nothing is measured
 
 
 def _cpu_s(pid: int) -> float:
-    fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
-    return (int(fields[11]) + int(fields[12])) / 100
+    times = psutil.Process(pid).cpu_times()
+    return float(times.user + times.system)
 
 
 def recorded(truth_hz: int, seconds: float, folder: Path) -> dict[str, Any]:
@@ -65,7 +66,7 @@ def recorded(truth_hz: int, seconds: float, folder: Path) -> dict[str, Any]:
             if scribes and (pid := scribes[0]._process.pid):
                 try:
                     samples.append((time.monotonic(), _cpu_s(pid)))
-                except OSError:
+                except psutil.Error:
                     return
 
     for name, call in originals.items():

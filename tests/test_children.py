@@ -1,10 +1,13 @@
 """Ctrl-C before anything flies: while processes start, and while libraries load."""
 
 import signal
+import subprocess
+import sys
 import threading
 import time
 from typing import Any, cast
 
+import psutil
 import pytest
 
 from missions.cli import main as cli
@@ -53,6 +56,23 @@ def test_an_interrupt_is_one_whatever_a_library_makes_of_it(
     assert ended.value.code == INTERRUPTED
     assert capsys.readouterr().err == "cablequad: interrupted\n"
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_who_works_for_a_process_ends_with_it_however_it_ends() -> None:
+    """An interrupted preflight left a process behind."""
+    code = "import time; from missions.analysis.batch import spread; spread(time.sleep, [600.0, 600.0], 2)"
+    parent = psutil.Process(subprocess.Popen([sys.executable, "-c", code]).pid)
+    end = time.monotonic() + 60
+    while len(working := [p for p in parent.children() if "--multiprocessing-fork" in p.cmdline()]) < 2:
+        assert time.monotonic() < end
+        time.sleep(0.1)
+    for p in working:
+        while p.num_threads() < 2:  # it has begun its work
+            assert time.monotonic() < end
+            time.sleep(0.1)
+    parent.kill()
+    _, left = psutil.wait_procs(working, timeout=30)
+    assert not left
 
 
 def test_what_fails_by_itself_is_no_interrupt(monkeypatch: pytest.MonkeyPatch) -> None:

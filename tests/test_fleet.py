@@ -523,6 +523,35 @@ def test_an_accelerometer_from_far_ahead_is_not_waited_for() -> None:
     assert not comparison._waiting
 
 
+@pytest.mark.parametrize(("touches", "hangs", "lost"), [(False, 0.4, True), (True, 0.4, False), (True, 0.1, True)])
+def test_a_slack_cable_is_no_loss_while_the_load_touches_the_ground(touches: bool, hangs: float, lost: bool) -> None:
+    """A pole that was set down end first left a cable slack, and its vehicle was told to stop its motors in the air."""
+    s = State.hanging(SYSTEM)
+    ends, lengths = s.x0 + SYSTEM.rho @ s.R0.T, SYSTEM.length.sum(axis=1)
+    x = positions(SYSTEM, s)[:, 0].copy()
+    x[2, 2] = ends[2, 2] - hangs * lengths[2]  # above its end of the cable
+    seen = Observation(s, np.full(4, 1.0), 0.0, x, np.zeros((4, 3)), np.zeros(4))
+    detector = FaultDetector()
+    inputs = FaultInputs([0, 1, 2, 3], seen, ends, lengths, None, True, {}, set(), touches)
+    assert any(detector.look(0.02 * k, inputs) is not None for k in range(200)) is lost
+
+
+def test_a_load_that_has_lost_a_vehicle_swings_and_leaves_cables_slack() -> None:
+    """The next vehicle was given up 0.1 s after its cable went slack; a load that hangs still gives nobody that long."""
+    s = State.hanging(SYSTEM)
+    ends, lengths = s.x0 + SYSTEM.rho @ s.R0.T, SYSTEM.length.sum(axis=1)
+    x = positions(SYSTEM, s)[:, 0].copy()
+    x[2, 2] = ends[2, 2] - 0.4 * lengths[2]
+    seen = Observation(s, np.full(4, 1.0), 0.0, x, np.zeros((4, 3)), np.zeros(4))
+    inputs = FaultInputs([0, 1, 2, 3], seen, ends, lengths, None, True, {}, set())
+    detector, waited = FaultDetector(), []
+    for begins in (0.0, 1.0, 20.0):  # in the swing that the first loss begins; and once it is over
+        detector._since.clear()
+        at = next(t for k in range(200) if detector.look(t := begins + 0.02 * k, inputs) is not None)
+        waited.append(at - begins)
+    assert waited == [pytest.approx(0.08, abs=0.021), pytest.approx(1.5, abs=0.021), pytest.approx(0.08, abs=0.021)]
+
+
 @pytest.mark.parametrize(("taut", "after_s"), [(True, 0.08), (False, 1.5)])
 def test_who_seems_to_be_off_its_cable_must_seem_so_for_longer_while_a_load_topples(taut: bool, after_s: float) -> None:
     """A load that lost one of its vehicles turned over, and another was given up 0.1 s after its cable seemed off."""

@@ -86,6 +86,26 @@ def test_a_cable_that_is_dropped_comes_to_lie_on_the_ground() -> None:
     assert heights[-1] < 0.01
 
 
+def test_a_vehicle_does_not_stand_on_its_own_cable() -> None:
+    """Its first link stands on the ground, leaning, and it holds its place above with 30 % of hover thrust."""
+    system = cut_off(System.paper(1), 0)
+    s = State.hanging(system, (0.0, 0.0, 0.0)).copy()
+    length = float(system.length[0, 0])
+    lean = np.array([0.1, 0.0, 1.0]) / np.hypot(0.1, 1.0)
+    s.q[0] = np.array([lean, *[[0.0, 1.0, 0.0]] * 4])
+    s.x0[2] += 0.0 - positions(system, s)[0, 1, 2]  # its lower end on the ground
+    g = ground(system, 0.0, np.zeros((1, 3)), FEET * [1.0, 1.0, 0.2], H)
+    up, work = RotorOutput(np.array([0.3 * system.m[0] * system.g]), np.zeros((1, 3))), scratch(system, s)
+    assert -positions(system, s)[0, 0, 2] > 0.99 * length
+    place = positions(system, s)[0, 0].copy()
+    for _ in range(2500):
+        outside = no_external_forces(system)
+        off, v = positions(system, s)[0, 0] - place, velocities(system, s)[0, 0]
+        outside.on_vehicles[0, :2] = -400.0 * off[:2] - 40.0 * v[:2]
+        advance_on(system, s, up, H, g, outside, work)
+    assert -positions(system, s)[0, 0, 2] < 0.3 * length
+
+
 def test_energy_lost_is_the_work_of_the_forces_from_the_ground() -> None:
     """Over an uneven start (a corner of the load and a foot begin below the ground): sum of F . v h, by the trapezoid."""
     system, h = System.paper(1), 2e-4

@@ -2,9 +2,10 @@
 
 A point at depth d is pushed up by N = max(0, k d + c d' min(1, d / d_s)), d_s where its share of the weight rests.
 Coulomb friction with sticking: a spring k and a damper hold a point where it came to stand, up to mu N; beyond that it
-slides, and takes the place that holds it along. What stands does not creep. Springs give back what they took,
-everything else only takes: contact adds no energy. Evaluated at every stage of the Runge-Kutta step; places move after
-it.
+slides, and takes the place that holds it along. What stands does not creep. A cable does not stand on itself: the
+friction of its nodes follows no more than their own weight, so that a link which is pushed down slips away. Springs
+give back what they took, everything else only takes: contact adds no energy. Evaluated at every stage of the
+Runge-Kutta step; places move after it.
 """
 
 import math
@@ -32,6 +33,7 @@ class Contact(NamedTuple):
     damping: float  # N s/m
     sag: float  # m: where its share of the weight rests
     grip: float  # N s/m, most that a step can take of a point's slip
+    rubs: float = np.inf  # m: no more depth than this counts for its friction
 
 
 class Ground(NamedTuple):
@@ -41,9 +43,9 @@ class Ground(NamedTuple):
     friction: float
     corners: Array  # (c, 3) m, payload frame
     feet: Array  # (4, 3) m, vehicles' body frames
-    corner: Array  # (4,), as Contact
-    foot: Array  # (n, 4)
-    node: Array  # (n, L, 4): the payload-side end of each link but the last
+    corner: Array  # (5,), as Contact
+    foot: Array  # (n, 5)
+    node: Array  # (n, L, 5): the payload-side end of each link but the last
     corner_held: Array  # (c, 3) m, W: x and y where each stuck, and 1 where it does; these change with every step
     foot_held: Array  # (n, 4, 3)
     node_held: Array  # (n, L, 3)
@@ -54,11 +56,12 @@ def ground(system: System, z: float, corners: Array, feet: Array, h: float, fric
     n, L = system.length.shape
     carried = system.m0 + float(system.m_tied.sum())
     lightest = min(system.m0, float(np.min(np.diag(system.J0))) / max(float(np.max(np.sum(corners**2, axis=1))), 1e-9))
-    node = np.zeros((n, L, 4))
+    node = np.zeros((n, L, 5))
     for i in range(n):
         for j in range(int(system.n_links[i])):
             m = float(system.m_link[i, j])
-            node[i, j] = contact(m, NODES, 1, m, system.g, h)
+            touches = contact(m, NODES, 1, m, system.g, h)
+            node[i, j] = touches._replace(rubs=touches.sag)
     foot = np.array([contact(float(m), VEHICLES, len(feet), float(m) / 4, system.g, h) for m in system.m])
     corner = np.array(contact(carried, PAYLOAD, max(1, len(corners) // 2), lightest / 2, system.g, h))
     return Ground(
@@ -90,14 +93,14 @@ def _push(c: Array, friction: float, depth: float, x: float, y: float, v: Triple
     drag = min(c[1], c[3])
     stretch = c[0] * held[2]
     fx, fy = -stretch * (x - held[0]) - drag * v[0], -stretch * (y - held[1]) - drag * v[1]
-    share = friction * normal / max(math.sqrt(fx * fx + fy * fy), 1e-12)
+    share = friction * min(normal, c[0] * c[4]) / max(math.sqrt(fx * fx + fy * fy), 1e-12)
     if share < 1.0:  # it slides
         fx, fy = share * fx, share * fy
     return (fx, fy, -normal)
 
 
 @inlined
-def _stick(friction: float, depth: float, x: float, y: float, held: Array) -> None:
+def _stick(c: Array, friction: float, depth: float, x: float, y: float, held: Array) -> None:
     """Where a point at x, y is held from now on, in place: where it came to the ground, or as far behind as it slid."""
     if depth <= 0.0:
         held[2] = 0.0
@@ -105,7 +108,7 @@ def _stick(friction: float, depth: float, x: float, y: float, held: Array) -> No
         held[0], held[1], held[2] = x, y, 1.0
     else:
         sx, sy = x - held[0], y - held[1]
-        share = friction * depth / max(math.sqrt(sx * sx + sy * sy), 1e-12)
+        share = friction * min(depth, c[4]) / max(math.sqrt(sx * sx + sy * sy), 1e-12)
         if share < 1.0:
             held[0], held[1] = x - share * sx, y - share * sy
 
@@ -235,14 +238,14 @@ def stick(system: System, state: State, g: Ground) -> None:
     x = positions(system, state)
     for k in range(g.corners.shape[0]):
         p = _place(state.x0, state.R0, g.corners[k])
-        _stick(g.friction, p[2] - g.z, p[0], p[1], g.corner_held[k])
+        _stick(g.corner, g.friction, p[2] - g.z, p[0], p[1], g.corner_held[k])
     for i in range(system.m.shape[0]):
         for j in range(system.n_links[i] - 1):
             q = x[i, j + 1]
-            _stick(g.friction, q[2] - g.z, q[0], q[1], g.node_held[i, j])
+            _stick(g.node[i, j], g.friction, q[2] - g.z, q[0], q[1], g.node_held[i, j])
         for k in range(g.feet.shape[0]):
             p = _place(x[i, 0], state.R[i], g.feet[k])
-            _stick(g.friction, p[2] - g.z, p[0], p[1], g.foot_held[i, k])
+            _stick(g.foot[i], g.friction, p[2] - g.z, p[0], p[1], g.foot_held[i, k])
 
 
 @jit

@@ -25,6 +25,7 @@ SHIFT_M, SHIFT = 0.1, 0.25  # of a centre of mass: no more than this share of th
 CLEAR_M = 1.2  # below the lowest place of a scenario without ground
 SOFT_M_S = 0.5  # of a load that is set down in an emergency
 WORSE = 1.05  # a protection must make the harm smaller by at least this factor
+ALIKE = 0.5  # of what counts as near: flights that end well, and stray no further apart than this, are alike
 
 
 class Drill(NamedTuple):
@@ -138,14 +139,14 @@ def harm(s: Summary) -> float:
     return crashed + touch + sum(min(5.0, e or 0.0) for e in (s.largest_tracking_error_m, s.rms_tracking_error_m))
 
 
-def compared(drill: Drill, protected: Summary, bare: Summary) -> Drilled:
-    """What a drill showed, flown with protection and without."""
+def compared(drill: Drill, protected: Summary, bare: Summary, near_m: float = USUAL.near_m) -> Drilled:
+    """What a drill showed, flown with protection and without; `near_m`: what is near, for what flies."""
     said = f"{_ending(protected)}; without protection: {_ending(bare)}"
     if not _safe(protected, drill):
         return Drilled(drill, protected, bare, "no-go", said)
     if harm(bare) > WORSE * harm(protected):
         return Drilled(drill, protected, bare, "go", said)
-    if _safe(bare, drill) and harm(protected) <= WORSE * harm(bare):
+    if _safe(bare, drill) and harm(protected) <= WORSE * harm(bare) + ALIKE * near_m:
         return Drilled(drill, protected, bare, "note", f"does no harm here, protected or not: {said}")
     said += f" (harm {harm(protected):.2f} and {harm(bare):.2f}: the protection is not one)"
     return Drilled(drill, protected, bare, "no-go", said)

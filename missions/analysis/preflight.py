@@ -1,23 +1,26 @@
 """`cablequad preflight`: design, margins, the nominal flight and the drills on one page, go or no-go line by line."""
 
 import html
-import multiprocessing
+import math
 import os
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Future
 from typing import Any, NamedTuple
 
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 
 from missions.analysis.check import check
 from missions.analysis.drills import Drill, compared, drills, flown, in_the_air, rehearsal
 from missions.analysis.margins import measure
-from missions.flight.processes.child_process import without_main
+from missions.flight.processes.child_process import worker_pool
 from missions.flight.run import Options, Progress, run
 from missions.flight.summary import Summary
 from missions.flight.terminal import margin_text
+from missions.scenario import loading
 from missions.scenario.loading import Flight, ScenarioError
+from missions.scenario.mission_setup import contingencies, scale_of_flight
 
 COARSE = 4  # bisections of a margin: whether it is enough is asked, not how large it is to a per cent
 THRUST_SHARE = 0.6  # of its greatest, that a vehicle may need at rest
@@ -54,15 +57,16 @@ def preflight(flight: Flight, options: Options, tell: Callable[[str], None]) -> 
     flown_drills: list[tuple[Drill, list[Future[Summary]]]] = []
     tell("design")
     in_air, ground = in_the_air(flight), rehearsal(flight)
+    near_m = scale_of_flight(flight).near_m
     lines = check(in_air, True, tell)  # before anything flies: what cannot be designed is not flown
-    context = multiprocessing.get_context("spawn")
-    with without_main(), ProcessPoolExecutor(os.cpu_count() or 1, context) as pool:
+    with worker_pool(os.cpu_count() or 1) as pool:
         try:
             nominal = pool.submit(_nominal, flight, options)
             for drill in drills(flight):
                 pair = [pool.submit(flown, ground, drill, protect, options) for protect in (True, False)]
                 flown_drills.append((drill, pair))
             yield from _design(lines)
+            yield from _one_lost(ground)
             tell("margins, and the flights meanwhile")
             yield from _margins(measure(in_air, bisections=COARSE))
             tell("the flight itself and the drills")
@@ -72,7 +76,7 @@ def preflight(flight: Flight, options: Options, tell: Callable[[str], None]) -> 
             yield Line("flight", flight.scenario.name, "go" if summary.passed else "no-go", _told(summary._asdict()))
             for drill, (protected, bare) in flown_drills:
                 tell(f"drill: {drill.name}, with protection and without")
-                result = compared(drill, _tested(protected.result()), _tested(bare.result()))
+                result = compared(drill, _tested(protected.result()), _tested(bare.result()), near_m)
                 yield Line("drill", f"{drill.name}: {drill.what}", result.verdict, result.why)
         except BaseException:
             pool.shutdown(wait=True, cancel_futures=True)  # nobody flies on for a page that is not finished
@@ -116,6 +120,28 @@ def _design(c: dict[str, Any]) -> Iterator[Line]:
     yield Line("design", "what forces can reach", "note" if missing else "go", said)
     certified = c["certificate"].get("verdict", "")
     yield Line("design", "Proposition 3", "note", str(certified) or "see: cablequad check")
+
+
+def _one_lost(flight: Flight) -> Iterator[Line]:
+    """What is left, at rest, of a set-up that loses the vehicle that it can spare least: no law makes more of it."""
+    assert flight.scenario.mission is not None
+    limit, n = flight.scenario.mission.guards.load_tilt_deg, len(flight.system.m)
+    left: list[tuple[float, float, int]] = []  # deg, share of thrust, vehicle
+    for lost, d in contingencies(flight, loading.design(flight)).designs.items():
+        for k in lost:
+            share = np.linalg.norm(d.u_star, axis=1) / np.delete(flight.airframe.max_thrust, k)
+            left.append((math.degrees(math.acos(min(1.0, float(d.hanging.R0[2, 2])))), float(share.max()), k + 1))
+    if len(left) < n:
+        missing = sorted(set(range(1, n + 1)) - {k for _, _, k in left})
+        who = ", ".join(map(str, missing))
+        yield Line("design", "one vehicle lost", "note", f"without vehicle {who} the load cannot be held at rest")
+        return
+    tilt, share, k = max(left)
+    ok = share <= 1.0 and tilt <= limit
+    why = (
+        f"without vehicle {k} the load hangs tilted by {tilt:.0f} deg (guard: {limit:g}), and at rest the others need "
+    )
+    yield Line("design", "one vehicle lost", "go" if ok else "note", f"{why}{100 * share:.0f} % of their thrust")
 
 
 def _margins(m: dict[str, Any]) -> Iterator[Line]:

@@ -42,10 +42,11 @@ class Protection:
                     lose(m, Loss(m.members.index(k), why, off=False, sound=True))
         if m.plan.protect and m.phase in LOADED:
             R_c = None if m.control.last is None else m.control.last.R_c
+            ends = m.geometry.ends(m.here.state)
+            touches = float((ends[:, 2] - m.geometry.system.rho[:, 2]).max()) > m.plan.rest_z - m.plan.scale.near_m
             inputs = FaultInputs(
-                m.members, i, m.geometry.ends(m.here.state), m.geometry.length, R_c, not m.by_itself,
-                m.fleet.departed, m.fleet.astray,
-            )  # fmt: skip
+                m.members, i, ends, m.geometry.length, R_c, not m.by_itself, m.fleet.departed, m.fleet.astray, touches
+            )
             loss = self._faults.look(m.now, inputs)
             if loss is not None:
                 lose(m, loss)

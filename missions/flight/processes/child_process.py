@@ -1,10 +1,14 @@
 """How other processes begin."""
 
 import contextlib
+import multiprocessing
+import os
 import signal
 import sys
+import threading
 from collections.abc import Iterator
-from multiprocessing import resource_tracker
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import connection, resource_tracker
 from multiprocessing.process import BaseProcess
 
 FROM_TERMINAL = frozenset({signal.SIGINT, signal.SIGHUP})  # sent to all processes of a terminal
@@ -31,6 +35,26 @@ def without_main() -> Iterator[None]:
     finally:
         for name, value in kept.items():
             setattr(main, name, value)
+
+
+@contextlib.contextmanager
+def worker_pool(count: int) -> Iterator[ProcessPoolExecutor]:
+    """Processes for independent work, which end with this one, however it ends."""
+    context = multiprocessing.get_context("spawn")
+    with without_main(), ProcessPoolExecutor(count, context, initializer=end_with_parent) as pool:
+        yield pool
+
+
+def end_with_parent() -> None:
+    """In a child: end at once where the parent has ended; it has nobody to tell what it finds."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+
+    def follow() -> None:
+        connection.wait([parent.sentinel])
+        os._exit(1)
+
+    threading.Thread(target=follow, name="follows its parent", daemon=True).start()
 
 
 def begin(process: BaseProcess) -> None:
