@@ -4,6 +4,8 @@ import os
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
+from missions.flight.processes.child_process import worker_pool
+
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
