@@ -1,16 +1,18 @@
 """What the tests share: random systems and states, a place among the ports, the command line."""
 
 import contextlib
+import fcntl
 import itertools
 import json
 import os
 import signal
 import subprocess
 import sysconfig
+import tempfile
 import threading
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -74,7 +76,32 @@ _given = itertools.count()
 
 def next_offset() -> int:
     """A port offset that no flight of this process has had, well away from everyone's defaults."""
-    return 6000 + (os.getpid() % 8) * 1000 + next(_given) * 7 % 40 * 4
+    worker = os.environ.get("PYTEST_XDIST_WORKER", "")
+    room = int(worker.removeprefix("gw")) if worker else os.getpid()
+    return 6000 + room % 8 * 1000 + next(_given) * 7 % 40 * 4
+
+
+@contextlib.contextmanager
+def _shared_computer(run: str, alone: bool) -> Iterator[None]:
+    """While inside no test is that needs the computer to itself, or no other test at all where this is one.
+
+    Who waits holds the gate, so that nobody else goes in before.
+    """
+    folder = Path(tempfile.gettempdir())
+    with open(folder / f"cablequad-{run}-gate", "w") as gate, open(folder / f"cablequad-{run}-room", "w") as room:
+        fcntl.flock(gate, fcntl.LOCK_EX)
+        fcntl.flock(room, fcntl.LOCK_EX if alone else fcntl.LOCK_SH)
+        fcntl.flock(gate, fcntl.LOCK_UN)
+        yield
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, Any, Any]:
+    run = os.environ.get("PYTEST_XDIST_TESTRUNUID")
+    if run is None:
+        return (yield)
+    with _shared_computer(run, item.get_closest_marker("alone") is not None):
+        return (yield)
 
 
 @pytest.fixture

@@ -59,6 +59,8 @@ from sitl.external.seats import AutopilotError
 from sitl.instruments import Grades, Instruments
 from sitl.settings import plant_of
 
+pytestmark = pytest.mark.alone
+
 GOLDEN = Path(__file__).parent / "golden"
 PEER = Path(__file__).parent / "peers" / "autopilot.py"
 MARK = 47.397742, 8.545594, 488.0

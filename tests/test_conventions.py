@@ -195,6 +195,7 @@ def test_a_flight_goes_on_when_nobody_reads_what_it_says(tmp_path: Path) -> None
     assert read(log).complete
 
 
+@pytest.mark.alone
 def test_a_terminal_that_closes_ends_a_flight_in_order(tmp_path: Path) -> None:
     command = [str(COMMAND), "fly", "paper-case-1", "--speed", "1", "--no-replay", "--out", str(tmp_path)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True)

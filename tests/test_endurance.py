@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+import pytest
 from fuzz import a_server, fuzz, hear, in_flight, state
 from soak import soak
 from strangers import strangers
@@ -11,6 +12,8 @@ from bridge.wire.frames import frame
 from bridge.wire.messages import encode
 from bridge.wire.signing_keys import write_key
 from bridge.wire.values import Command, ParamSet
+
+pytestmark = pytest.mark.alone
 
 
 def test_twenty_thousand_hostile_frames_change_nothing_that_they_may_not(offset: int) -> None:

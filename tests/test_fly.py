@@ -128,6 +128,7 @@ def connections(offset: int) -> list[str]:
 
 
 @pytest.mark.parametrize("speed", ["max", "2"])
+@pytest.mark.alone
 def test_a_server_in_one_terminal_is_flown_from_another(tmp_path: Path, offset: int, speed: str) -> None:
     server = Command("sitl", "--speed", speed, "--port-offset", str(offset))
     try:
@@ -307,6 +308,7 @@ def test_a_missing_vehicle_ends_the_run_with_its_name(tmp_path: Path, offset: in
     assert read(Path(summary["log"])).complete
 
 
+@pytest.mark.alone
 def test_ctrl_c_in_mid_flight_ends_in_order(tmp_path: Path, offset: int) -> None:
     run = Command(
         "fly", "--json", "--speed", "1", "--duration", "60", "--out", str(tmp_path), "--port-offset", str(offset)
@@ -352,6 +354,7 @@ def test_a_simulator_that_dies_ends_the_run_with_a_complete_log(tmp_path: Path, 
 
 
 @pytest.mark.parametrize("name", ["paper-case-1", "paper-case-1-50hz"])
+@pytest.mark.alone
 def test_a_run_that_is_killed_with_all_its_processes_keeps_all_but_half_a_second(
     name: str, tmp_path: Path, offset: int
 ) -> None:

@@ -14,6 +14,8 @@ from conftest import flown
 from logs.reading.reader import read
 from missions.flight.recording import idle_scheduler as gaps
 
+pytestmark = pytest.mark.alone
+
 STEPS, LATE_FROM = 60, 30
 
 

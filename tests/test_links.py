@@ -96,6 +96,7 @@ def test_a_hostile_link_is_flown_and_fails_the_same_way_twice(tmp_path: Path, of
     assert logs[0] == logs[1]
 
 
+@pytest.mark.alone
 def test_the_same_faults_work_in_real_time(tmp_path: Path, offset: int) -> None:
     s = flown(case_1(tmp_path, HOSTILE), "--no-replay", "--duration", "4", "--speed", "1", "--out", str(tmp_path),
               "--port-offset", str(offset))  # fmt: skip
@@ -104,6 +105,7 @@ def test_the_same_faults_work_in_real_time(tmp_path: Path, offset: int) -> None:
     assert s["wire"]["down_lost"] > 100
 
 
+@pytest.mark.alone
 def test_served_faults_reach_clients_that_have_none_of_their_own(tmp_path: Path, offset: int) -> None:
     quiet = case_1(tmp_path, "\n\n[faults]\ndown = { loss = 0.5 }\n")
     code, _, err = cablequad("sitl", quiet, "--faults", "--speed", "max")

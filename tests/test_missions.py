@@ -229,6 +229,7 @@ def test_two_vehicles_that_are_lost_one_after_the_other_end_in_order(tmp_path: P
     assert s.touch_down_m_s is not None
 
 
+@pytest.mark.alone
 def test_an_operator_pauses_resumes_and_aborts_by_command(tmp_path: Path) -> None:
     port = str(next_offset())
     flight = Command(

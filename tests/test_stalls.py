@@ -17,6 +17,8 @@ from logs.reading.records import entries
 from missions.flight.run import Options, Progress, run
 from missions.scenario import loading as scenarios
 
+pytestmark = pytest.mark.alone
+
 STALL_S = 8.0  # longer than every wall-clock limit of a flight that is not in lockstep
 
 
