@@ -53,9 +53,9 @@ class Simulation(Arrays):
     def plot(self) -> "Figure":
         """Position, velocity, thrust and attitude and link errors over time."""
         with extra():
-            from matplotlib.figure import Figure
+            from logs.views.drawing import Drawing
 
-        figure = Figure(figsize=(10.5, 6.0), layout="constrained")
+        figure = Drawing(figsize=(10.5, 6.0), layout="constrained")
         grid = figure.subplots(2, 2, sharex=True)
         shown = (
             ("payload_position", "payload position [m, NED]"), ("payload_velocity", "payload velocity [m/s, NED]"),

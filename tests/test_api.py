@@ -8,8 +8,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import nbformat
 import numpy as np
 import pytest
+from nbclient import NotebookClient
 
 import cablequad as cq
 from bridge.mission.mission import MissionError
@@ -20,7 +22,8 @@ from logs.reading.shapes import MESSAGES, Topic, fields
 from missions.analysis.replay_control import redecide
 from missions.scenario.loading import ScenarioError, text
 
-EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.py"))
+ROOT = Path(__file__).parents[1]
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=[path.stem for path in EXAMPLES])
@@ -30,6 +33,24 @@ def test_an_example_runs(
     monkeypatch.chdir(tmp_path)
     runpy.run_path(str(path))
     assert len(capsys.readouterr().out.splitlines()) >= 2
+
+
+@pytest.mark.parametrize("name", ["case_1", "a_log"])
+def test_a_notebook_runs_and_shows_its_figures_and_its_replay(name: str, tmp_path: Path) -> None:
+    notebook = nbformat.read(ROOT / "examples" / f"{name}.ipynb", 4)
+    NotebookClient(notebook, timeout=280, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    shown = [kind for cell in notebook.cells for output in cell.get("outputs", []) for kind in output.get("data", {})]
+    assert "image/png" in shown
+    assert "application/vnd.jupyter.widget-view+json" in shown
+    assert not any(cell.get("outputs") for cell in nbformat.read(ROOT / "examples" / f"{name}.ipynb", 4).cells)
+
+
+def test_the_examples_are_listed() -> None:
+    listed = (ROOT / "examples" / "README.md").read_text()
+    assert len(EXAMPLES) >= 10
+    assert all(
+        f"]({path.name})" in listed for path in (ROOT / "examples").iterdir() if path.suffix in (".py", ".ipynb")
+    )
 
 
 def test_the_door_names_what_exists_and_imports_late() -> None:

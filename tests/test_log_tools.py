@@ -24,6 +24,7 @@ from mcap.reader import make_reader
 from pymavlink import mavutil
 
 from docs.log import page as log_page
+from docs.scenario import page as scenario_page
 from logs.reading.columns import columns
 from logs.reading.inspect import check, info, lost
 from logs.reading.messages import Messages
@@ -385,6 +386,12 @@ def test_a_browser_opens_the_served_replay(tmp_path: Path) -> None:
 
 def test_the_page_on_the_log_is_what_the_schema_says() -> None:
     assert (HERE.parent / "docs" / "log.md").read_text() == log_page()
+
+
+def test_the_reference_of_scenario_keys_is_current_and_says_what_each_is() -> None:
+    assert (HERE.parent / "docs" / "scenario.md").read_text() == scenario_page()
+    bare = [row for row in scenario_page().splitlines() if row.startswith("| `") and row.endswith("|  |")]
+    assert not bare
 
 
 def test_a_page_of_a_run_that_did_not_end_says_so(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from cablequad.types import Array
 from logs.reading.columns import CARRYING, flown
 from logs.reading.reader import LogError, Run
+from logs.views.drawing import Drawing
 from logs.views.motion import MotionHistory, motion_of, rotate, separation
 from logs.writing.encode import color
 
@@ -35,7 +36,7 @@ def histories(run: Run) -> Figure:
     Raises LogError where the log holds no decisions of a flight.
     """
     c, t = _flown(run)
-    figure = Figure(figsize=(WIDTH, 11.0), layout="constrained")
+    figure = Drawing(figsize=(WIDTH, 11.0), layout="constrained")
     grid = figure.subplots(4, 2, sharex=True)
     x, v = c["position"], c["velocity"]
     _three(grid[0, 0], t, x, x - c["e_x0"], ("x", "y", "z"), "payload position $x_0$ [m, NED]")
@@ -67,7 +68,7 @@ def tensions(run: Run) -> Figure:
     """What the cables and the links to the vehicles carried: tensions, slack, frames that came. Raises LogError."""
     c, t = _flown(run)
     m = motion_of(run, 250.0)
-    figure = Figure(figsize=(WIDTH, 8.6), layout="constrained")
+    figure = Drawing(figsize=(WIDTH, 8.6), layout="constrained")
     grid = figure.subplots(3, 2, sharex=True)
     own = (m.t >= 0) & (m.t <= t[-1])
     _vehicles(grid[0, 0], m.t[own], m.tension[own].max(axis=2), "largest tension in a cable [N]")
@@ -132,7 +133,7 @@ def snapshots(run: Run, times: Sequence[float] | None = None) -> Figure:
     high = m.nodes[rows].reshape(-1, 3).max(axis=0) + 0.35
     size = high - low
     tall = [1.9, 0.45 + COLUMN * size[2] / size[0], 0.45 + COLUMN * size[1] / size[0]]  # inches
-    figure = Figure(figsize=(COLUMN * len(rows) + 0.9, sum(tall) + 0.3), layout="constrained")
+    figure = Drawing(figsize=(COLUMN * len(rows) + 0.9, sum(tall) + 0.3), layout="constrained")
     grid = figure.add_gridspec(3, len(rows), height_ratios=tall, wspace=0.02, hspace=0.02)
     for k, row in enumerate(rows):
         space = figure.add_subplot(grid[0, k], projection="3d")
