@@ -7,7 +7,23 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from workbench import BODY, LEVEL, LINKS, ROLLED, ROLLED_QUAT, TICK, Bench, target
+from workbench import (
+    BODY,
+    CMD_ARM,
+    CMD_INTERVAL,
+    CMD_REPOSITION,
+    CMD_REQUEST,
+    CMD_RETURN,
+    CMD_SET_MODE,
+    CMD_TAKEOFF,
+    LEVEL,
+    LINKS,
+    ROLLED,
+    ROLLED_QUAT,
+    TICK,
+    Bench,
+    target,
+)
 
 from bridge.fleet.thrust import LinearShare
 from bridge.wire.values import (
@@ -39,8 +55,8 @@ def flying(thrust_mode: bool = True, mode: int = GUIDED) -> Bench:
     b = bench()
     if thrust_mode:
         b.vehicle.parameters.preset("GUID_OPTIONS", 8)
-    b.command(176, 1, mode)
-    b.command(400, 1)
+    b.command(CMD_SET_MODE, 1, mode)
+    b.command(CMD_ARM, 1)
     b.tick(1, target())
     b.vehicle.set_landed(IN_AIR)
     b.tick(1, target())
@@ -52,11 +68,11 @@ def test_a_fresh_vehicle_shows_stabilize_and_then_a_position() -> None:
     b = bench(ready_us=30_000_000)
     assert b.beat() == Heartbeat(2, 3, 81, STABILIZE, 1)  # booting
     assert b.beat() == Heartbeat(2, 3, 81, STABILIZE, 3)
-    b.command(176, 1, GUIDED)
+    b.command(CMD_SET_MODE, 1, GUIDED)
     assert b.beat().base_mode == 81
     b.tick(7500)
     assert b.beat() == Heartbeat(2, 3, 89, GUIDED, 3)
-    b.command(400, 1)
+    b.command(CMD_ARM, 1)
     b.send(target(thrust=0.9))
     assert b.beat(target()).base_mode == 217
 
@@ -83,7 +99,7 @@ def test_nothing_streams_until_it_is_asked_for() -> None:
 )
 def test_do_set_mode_answers_once(params: tuple[float, ...], acks: list[int], mode: int) -> None:
     b = bench()
-    assert b.command(176, *params) == acks
+    assert b.command(CMD_SET_MODE, *params) == acks
     assert any("No such mode" in t for t in b.texts()) == (acks == [4])
     assert b.beat().custom_mode == mode
 
@@ -98,47 +114,47 @@ def test_set_mode_message_works_without_an_ack() -> None:
 
 def test_guided_needs_a_position_to_arm_and_says_so() -> None:
     b = bench(ready_us=30_000_000)
-    b.command(176, 1, GUIDED)  # disarmed, any mode may be entered
+    b.command(CMD_SET_MODE, 1, GUIDED)  # disarmed, any mode may be entered
     for forced in (0, 2989, 21196):  # forcing skips optional checks, and this one is not
-        assert b.command(400, 1, forced) == [4]
+        assert b.command(CMD_ARM, 1, forced) == [4]
         assert "Arm: Need Position Estimate" in b.texts()
     b.tick(7500)
-    assert b.command(400, 1) == [0]
-    assert b.command(400, 1) == [0]  # already armed
+    assert b.command(CMD_ARM, 1) == [0]
+    assert b.command(CMD_ARM, 1) == [0]  # already armed
 
 
 def test_armed_without_a_position_guided_is_not_entered() -> None:
     b = bench(ready_us=30_000_000)
-    assert b.command(400, 1) == [0]  # STABILIZE needs none
-    assert b.command(176, 1, GUIDED) == [4]
+    assert b.command(CMD_ARM, 1) == [0]  # STABILIZE needs none
+    assert b.command(CMD_SET_MODE, 1, GUIDED) == [4]
     assert any("requires position" in t for t in b.texts())
 
 
 @pytest.mark.parametrize("wish", [0.5, 2.0, math.nan, -1.0])
 def test_other_arm_values_are_unsupported(wish: float) -> None:
-    assert bench().command(400, wish) == [3]
+    assert bench().command(CMD_ARM, wish) == [3]
 
 
 @pytest.mark.parametrize("mode", [RTL, LAND, BRAKE])
 def test_modes_that_only_end_flights_are_not_armable(mode: int) -> None:
     b = bench()
-    b.command(176, 1, mode)
-    assert b.command(400, 1) == [4]
+    b.command(CMD_SET_MODE, 1, mode)
+    assert b.command(CMD_ARM, 1) == [4]
     assert "Arm: Mode not armable" in b.texts()
 
 
 def test_disarming_in_the_air_fails_unless_forced() -> None:
     b = flying()
-    assert b.command(400, 0) == [4]
+    assert b.command(CMD_ARM, 0) == [4]
     assert b.vehicle.armed
-    assert b.command(400, 0, 21196) == [0]
+    assert b.command(CMD_ARM, 0, 21196) == [0]
     b.tick()
     assert b.act.throttle == 0.0
 
 
 def test_an_idle_vehicle_disarms_after_disarm_delay() -> None:
     b = bench()
-    b.command(400, 1)
+    b.command(CMD_ARM, 1)
     b.tick(2480)
     assert b.vehicle.armed
     b.tick(40)
@@ -148,8 +164,8 @@ def test_an_idle_vehicle_disarms_after_disarm_delay() -> None:
 def test_motors_spin_only_after_thrust_and_a_second_of_spooling() -> None:
     b = bench()
     b.vehicle.parameters.preset("GUID_OPTIONS", 8)
-    b.command(176, 1, GUIDED)
-    b.command(400, 1)
+    b.command(CMD_SET_MODE, 1, GUIDED)
+    b.command(CMD_ARM, 1)
     b.tick(100, target(thrust=0.0))
     assert b.act.throttle == 0.0
     b.tick(240, target())
@@ -166,7 +182,7 @@ def test_motors_spin_only_after_thrust_and_a_second_of_spooling() -> None:
 def test_commands_to_system_zero_are_obeyed_and_to_others_not_answered(
     system: int, component: int, answered: bool
 ) -> None:
-    assert bool(bench().command(400, 1, system=system, component=component)) is answered
+    assert bool(bench().command(CMD_ARM, 1, system=system, component=component)) is answered
 
 
 @pytest.mark.parametrize(
@@ -183,7 +199,7 @@ def test_setpoints_for_a_wrong_component_of_the_right_system_are_obeyed(
 
 def test_outside_guided_a_setpoint_is_ignored_silently() -> None:
     b = flying()
-    b.command(176, 1, LOITER)
+    b.command(CMD_SET_MODE, 1, LOITER)
     b.heard.clear()
     b.tick(5, target(quat_wxyz=ROLLED_QUAT))
     assert not b.texts()
@@ -334,14 +350,14 @@ class TestStreams:
 
     def test_set_message_interval(self) -> None:
         b = bench()
-        assert b.command(511, 31, 4000) == [0]
+        assert b.command(CMD_INTERVAL, 31, 4000) == [0]
         assert b.count(31) == 250
-        assert b.command(511, 31, -1) == [0]
+        assert b.command(CMD_INTERVAL, 31, -1) == [0]
         assert b.count(31) == 0
-        assert b.command(511, 9999, 1000) == [2]
-        assert b.command(511, 31, 4000, 1) == [2]
-        assert b.command(511, 31, math.nan) == [2]
-        assert b.command(511, 31, 2000) == [2]  # the loop runs at 400 Hz
+        assert b.command(CMD_INTERVAL, 9999, 1000) == [2]
+        assert b.command(CMD_INTERVAL, 31, 4000, 1) == [2]
+        assert b.command(CMD_INTERVAL, 31, math.nan) == [2]
+        assert b.command(CMD_INTERVAL, 31, 2000) == [2]  # the loop runs at 400 Hz
         assert any("refused" in t for t in b.texts())
 
     def test_request_data_stream_starts_and_stops_groups(self) -> None:
@@ -355,16 +371,16 @@ class TestStreams:
 
     def test_a_position_is_sent_only_once_there_is_one(self) -> None:
         b = bench(ready_us=2_000_000)
-        b.command(511, 32, 100_000)
+        b.command(CMD_INTERVAL, 32, 100_000)
         assert b.count(32) == 0
         b.tick(300)
         assert b.count(32) == pytest.approx(10, abs=1)
 
     def test_it_claims_no_more_than_exists(self) -> None:
         b = bench()
-        assert b.command(512, 148) == [0]
+        assert b.command(CMD_REQUEST, 148) == [0]
         assert ServerVersion(0x20CA, (4, 7, 0), 1) in b.heard
-        assert b.command(512, 9999) == [4]
+        assert b.command(CMD_REQUEST, 9999) == [4]
         assert b.command(31000) == [3]
 
     def test_parameters_are_numbers_whatever_their_type(self) -> None:
@@ -378,10 +394,10 @@ class TestStreams:
 
 def test_take_off_in_guided_climbs_and_then_takes_setpoints() -> None:
     b = bench()
-    assert b.command(22, 0, 0, 0, 0, 0, 0, 3) == [4]  # not armed, not in GUIDED
-    b.command(176, 1, GUIDED)
-    b.command(400, 1)
-    assert b.command(22, 0, 0, 0, 0, 0, 0, 3) == [0]
+    assert b.command(CMD_TAKEOFF, 0, 0, 0, 0, 0, 0, 3) == [4]  # not armed, not in GUIDED
+    b.command(CMD_SET_MODE, 1, GUIDED)
+    b.command(CMD_ARM, 1)
+    assert b.command(CMD_TAKEOFF, 0, 0, 0, 0, 0, 0, 3) == [0]
     b.drive(7.0)
     assert b.point.x[2] == pytest.approx(-3.0, abs=0.1)
     b.vehicle.parameters.preset("GUID_OPTIONS", 8)
@@ -392,12 +408,12 @@ def test_take_off_in_guided_climbs_and_then_takes_setpoints() -> None:
 def test_it_returns_lands_and_disarms() -> None:
     b = bench()
     b.vehicle.parameters.preset("RTL_ALT", 500)
-    b.command(176, 1, GUIDED)
-    b.command(400, 1)
-    b.command(22, 0, 0, 0, 0, 0, 0, 3)
+    b.command(CMD_SET_MODE, 1, GUIDED)
+    b.command(CMD_ARM, 1)
+    b.command(CMD_TAKEOFF, 0, 0, 0, 0, 0, 0, 3)
     b.drive(7.0)
     b.point = b.point._replace(x=b.point.x + np.array((4.0, 0.0, 0.0)))
-    assert b.command(20) == [0]
+    assert b.command(CMD_RETURN) == [0]
     b.drive(4.0)
     assert b.point.x[2] < -4.0
     b.drive(30.0)
@@ -416,9 +432,9 @@ class TestPositionTargets:
 
     def up(self) -> Bench:
         b = bench()
-        b.command(176, 1, GUIDED)
-        b.command(400, 1)
-        b.command(22, 0, 0, 0, 0, 0, 0, 3.0)
+        b.command(CMD_SET_MODE, 1, GUIDED)
+        b.command(CMD_ARM, 1)
+        b.command(CMD_TAKEOFF, 0, 0, 0, 0, 0, 0, 3.0)
         b.drive(8.0)
         return b
 
@@ -474,11 +490,11 @@ class TestPositionTargets:
 
     def test_do_reposition_changes_into_guided_only_where_it_says_so(self) -> None:
         b = self.up()
-        b.command(176, 1, LOITER)
+        b.command(CMD_SET_MODE, 1, LOITER)
         start = b.point.x.copy()
         lat, lon, altitude = geodetic(Home(), start + np.array([2.0, 0.0, -1.0]))
-        assert b.command(192, -1, 0, 0, 0, lat, lon, altitude) == [2]
-        assert b.command(192, -1, 1, 0, 0, lat, lon, altitude) == [0]
+        assert b.command(CMD_REPOSITION, -1, 0, 0, 0, lat, lon, altitude) == [2]
+        assert b.command(CMD_REPOSITION, -1, 1, 0, 0, lat, lon, altitude) == [0]
         b.drive(8.0)
         assert b.vehicle.mode_name == "GUIDED"
         assert np.linalg.norm(b.point.x - start - (2.0, 0.0, -1.0)) < 0.1

@@ -24,6 +24,7 @@ SHORT = {
     "margins": (["--systems", "1", "--bisections", "1", "--out", "OUT"], ["payload lighter", "vehicles,"]),
     "record": (["--seconds", "6", "--out", "OUT"], ["share of a core", "protobuf's and mcap's own objects"]),
     "autopilots": (["one-vehicle"], ["ardupilot"]),
+    "flights": (["--short", "--out", "OUT"], ["flights a core and hour", "without a wire"]),
     "flown": (["FOLDER", "--seeds", "1", "--flights", "case-1"], ["PX4", "ArduCopter", "rms, cm"]),
 }  # arguments that take seconds, and what is printed
 HELPERS = {"peer"}  # of benchmarks

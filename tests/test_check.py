@@ -55,13 +55,17 @@ class TestMisprintsOfTheProof:
 
     def test_certify_uses_the_bound_that_holds(self) -> None:
         gains = AttitudeGains(np.full(4, 0.2), np.full(4, 0.03), 0.3)
-        for a in certify(LAW, WEIGHTS, gains).attitude:
+        attitude = certify(LAW, WEIGHTS, gains).attitude
+        assert len(attitude) == 4
+        for a in attitude:
             assert np.linalg.eigvalsh(W_2(0.999 * a.c_2_bound, 0.2, 0.03, a.B_2))[0] > 0
             assert a.lambda_W_2 > 0
 
     def test_higher_order_terms_enter_through_the_mass_matrix(self) -> None:
         """2 gamma |P| is printed where 2 gamma |P B_d| stands: it is smaller, so the printed condition is not one."""
-        for choice in certify(LAW, WEIGHTS, attitude_gains(PAPER, AIRFRAME, 2.0)).choices[:2]:
+        choices = certify(LAW, WEIGHTS, attitude_gains(PAPER, AIRFRAME, 2.0)).choices[:2]
+        assert len(choices) == 2
+        for choice in choices:
             assert choice.higher_order > np.linalg.norm(choice.P, 2)
 
     def test_V_2_holds_the_rate_not_its_derivative(self) -> None:

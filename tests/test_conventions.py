@@ -14,9 +14,12 @@ import pytest
 import typer
 from conftest import COMMAND, Command, cablequad, next_offset
 
+from docs.readme import index_page
+from docs.readme import page as readme
 from logs.reading.reader import read
 from missions.cli.main import app
 
+ROOT = Path(__file__).parents[1]
 GOLDEN = Path(__file__).parent / "golden" / "v2-paper-case-2-50hz.mcap"
 
 
@@ -169,6 +172,25 @@ def listens(port: int, host: str = "127.0.0.1") -> bool:
     with socket.socket() as tried:
         tried.settimeout(1.0)
         return tried.connect_ex((host, port)) == 0
+
+
+def test_the_readmes_figures_are_those_of_the_results() -> None:
+    assert (ROOT / "README.md").read_text() == readme()
+    assert (ROOT / "docs" / "index-page.md").read_text() == index_page()
+
+
+def test_the_documentation_is_a_site_whose_links_lead_somewhere(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "docs.site", "--out", str(tmp_path / "site")], cwd=ROOT, capture_output=True, text=True,
+        check=False, timeout=200,
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, "")
+    page = {name: (tmp_path / "site" / name / "index.html").read_text() for name in ("", "docs/scenario", "docs/model")}
+    assert "docs/own-vehicles" in page[""]
+    assert 'id="missionguards"' in page["docs/scenario"]
+    assert page["docs/model"].count("<math") > 20
+    api = (tmp_path / "site" / "docs" / "api" / "index.html").read_text()
+    assert all(f"cq.{name}" in api for name in ("simulate", "fly", "flying", "read", "System", "linearize"))
 
 
 def test_the_files_that_contributing_names_exist() -> None:

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from workbench import CMD_ARM, CMD_INTERVAL, CMD_SET_MODE
 
 from bridge.fleet.fleet import Fleet, FleetOptions
 from bridge.fleet.profiles import PROFILES
@@ -86,10 +87,10 @@ class Played:
         if text:
             self.say(system, StatusText(2, text))
         self.say(system, CommandAck(value.command, result, 250, 191))
-        if result == 0 and value.command == 176:
+        if result == 0 and value.command == CMD_SET_MODE:
             control = value.params[: len(self.profile.control[2])] == self.profile.control[2]
             self.mode[i] = (self.profile.control if control else self.profile.hold)[1]
-        if result == 0 and value.command == 400:
+        if result == 0 and value.command == CMD_ARM:
             self.armed[i] = True
 
     def until(self, done: Any, limit: float = 90.0) -> None:
@@ -111,16 +112,20 @@ def test_vehicles_are_brought_up_stage_by_stage_and_fly_together(autopilot: int)
     assert p.fleet.failure is None
     assert p.fleet.flying
     kinds = [(system, v.command) for system, v in p.asked if isinstance(v, Command)]
-    assert max(k for k, (_, c) in enumerate(kinds) if c == 511) < min(k for k, (_, c) in enumerate(kinds) if c == 176)
-    assert max(k for k, (_, c) in enumerate(kinds) if c == 176) < min(k for k, (_, c) in enumerate(kinds) if c == 400)
+    assert max(k for k, (_, c) in enumerate(kinds) if c == CMD_INTERVAL) < min(
+        k for k, (_, c) in enumerate(kinds) if c == CMD_SET_MODE
+    )
+    assert max(k for k, (_, c) in enumerate(kinds) if c == CMD_SET_MODE) < min(
+        k for k, (_, c) in enumerate(kinds) if c == CMD_ARM
+    )
 
 
 def test_every_request_names_its_vehicle_and_component_one() -> None:
     p = Played()
     p.fly()
-    for system, value in p.asked:
-        if system is not None:
-            assert (value.system, value.component) == (system, 1)
+    addressed = [(system, value) for system, value in p.asked if system is not None]
+    assert {system for system, _ in addressed} == {1, 2}
+    assert all((value.system, value.component) == (system, 1) for system, value in addressed)
 
 
 def test_own_heartbeat_goes_out_once_a_second() -> None:
@@ -133,7 +138,7 @@ def test_own_heartbeat_goes_out_once_a_second() -> None:
 def test_setpoints_flow_a_second_before_offboard_is_asked_for() -> None:
     p = Played()
     p.beat()
-    p.until(lambda: any(isinstance(v, Command) and v.command == 176 for _, v in p.asked))
+    p.until(lambda: any(isinstance(v, Command) and v.command == CMD_SET_MODE for _, v in p.asked))
     assert p.now >= 1.0
 
 

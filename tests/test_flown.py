@@ -12,6 +12,7 @@ from types import ModuleType
 
 import pytest
 from conftest import cablequad
+from workbench import CMD_INTERVAL
 
 from bridge.wire.messages import decode
 from bridge.wire.values import CommandAck, Heartbeat, Imu, StatusText, VehicleAttitude
@@ -69,7 +70,7 @@ def test_arducopter_refuses_what_it_does_not_have_in_words_that_the_stand_in_say
     for msgid in (141, 331):
         assert f"No ap_message for mavlink id ({msgid})" in texts
         assert msgid not in stand_in().COPTER_HAS
-    refused = [v for v in values if isinstance(v, CommandAck) and v.command == 511 and v.result == 2]
+    refused = [v for v in values if isinstance(v, CommandAck) and v.command == CMD_INTERVAL and v.result == 2]
     assert len(refused) == 2
     asked = {1, 24, 30, 31, 32, 33, 36, 49, 83, 85, 105, 147, 245}  # and taken
     assert asked <= stand_in().COPTER_HAS

@@ -8,7 +8,25 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from workbench import BODY, LINKS, ROLLED, ROLLED_QUAT, TICK, Bench, Point, target
+from workbench import (
+    BODY,
+    CMD_ARM,
+    CMD_CAPABILITIES,
+    CMD_INTERVAL,
+    CMD_LAND,
+    CMD_REPOSITION,
+    CMD_REQUEST,
+    CMD_RETURN,
+    CMD_SET_MODE,
+    CMD_TAKEOFF,
+    LINKS,
+    ROLLED,
+    ROLLED_QUAT,
+    TICK,
+    Bench,
+    Point,
+    target,
+)
 
 from bridge.fleet.thrust import MotorCommand
 from bridge.wire.dialect import mavlink
@@ -51,8 +69,8 @@ def flying() -> Bench:
     """In OFFBOARD, armed, in the air."""
     b = bench()
     b.tick(10, target())
-    b.command(176, 1, 6)
-    b.command(400, 1)
+    b.command(CMD_SET_MODE, 1, 6)
+    b.command(CMD_ARM, 1)
     b.vehicle.set_landed(IN_AIR)
     b.vehicle._armed_at_us = -(10**7)  # long since: the motors are up to speed
     b.tick(1, target())
@@ -67,7 +85,7 @@ def test_disarmed_loiter_is_what_a_fresh_vehicle_shows() -> None:
 def test_mode_changes_are_acked_twice_and_show_in_the_heartbeat() -> None:
     b = bench()
     b.tick(5, target())
-    assert b.command(176, 1, 6) == [0, 0]
+    assert b.command(CMD_SET_MODE, 1, 6) == [0, 0]
     assert b.beat().custom_mode == OFFBOARD
 
 
@@ -83,7 +101,7 @@ def test_offboard_heartbeats_show_stream_and_arming() -> None:
 )
 def test_do_set_mode_answers_as_the_firmware_does(params: tuple[float, ...], acks: list[int]) -> None:
     b = bench()
-    assert b.command(176, *params) == acks
+    assert b.command(CMD_SET_MODE, *params) == acks
 
 
 def test_set_mode_message_is_acked_once() -> None:
@@ -97,30 +115,30 @@ def test_set_mode_message_is_acked_once() -> None:
 
 def test_offboard_in_flight_needs_setpoints() -> None:
     b = flying()
-    b.command(176, 1, 4, 3)
+    b.command(CMD_SET_MODE, 1, 4, 3)
     b.tick(300)
-    assert b.command(176, 1, 6) == [0, 1]
+    assert b.command(CMD_SET_MODE, 1, 6) == [0, 1]
     assert "Switching to Offboard is currently not available" in b.texts()
 
 
 def test_arming_in_offboard_without_a_stream_is_denied_with_its_reason() -> None:
     b = bench()
-    assert b.command(176, 1, 6) == [0, 0]  # disarmed, any mode may be entered
-    assert b.command(400, 1) == [1]
+    assert b.command(CMD_SET_MODE, 1, 6) == [0, 0]  # disarmed, any mode may be entered
+    assert b.command(CMD_ARM, 1) == [1]
     assert "Arming denied: Resolve system health failures first" in b.texts()
-    assert b.command(400, 1, 21196) == [1]  # forcing from outside skips nothing
+    assert b.command(CMD_ARM, 1, 21196) == [1]  # forcing from outside skips nothing
 
 
 @pytest.mark.parametrize(("wish", "acks"), [(1.0, [0]), (2.0, []), (math.nan, []), (0.0, [0])])
 def test_arm_command_values(wish: float, acks: list[int]) -> None:
-    assert bench().command(400, wish) == acks
+    assert bench().command(CMD_ARM, wish) == acks
 
 
 def test_disarming_in_the_air_needs_the_magic_number() -> None:
     b = flying()
-    assert b.command(400, 0) == [1]
+    assert b.command(CMD_ARM, 0) == [1]
     assert b.vehicle.armed
-    assert b.command(400, 0, 21196) == [0]
+    assert b.command(CMD_ARM, 0, 21196) == [0]
     b.tick()
     assert not b.vehicle.armed
     assert b.act.throttle == 0.0
@@ -128,7 +146,7 @@ def test_disarming_in_the_air_needs_the_magic_number() -> None:
 
 def test_an_idle_vehicle_disarms_after_ten_seconds() -> None:
     b = bench()
-    b.command(400, 1)
+    b.command(CMD_ARM, 1)
     b.tick(2400)
     assert b.vehicle.armed
     b.tick(150)
@@ -168,7 +186,7 @@ def test_setpoints_are_obeyed_only_by_the_vehicle_they_name(system: int, compone
 
 def test_commands_to_system_zero_or_to_others_are_not_answered() -> None:
     for system, component in [(0, 1), (2, 1), (1, 200)]:
-        assert bench().command(400, 1, system=system, component=component) == []
+        assert bench().command(CMD_ARM, 1, system=system, component=component) == []
 
 
 @pytest.mark.parametrize("scale", [1.0, 2.0, -1.0, 0.1])
@@ -223,7 +241,7 @@ def test_type_mask_decides_between_attitude_rates_and_feed_forward() -> None:
 
 def test_outside_offboard_a_setpoint_only_refreshes_the_signal() -> None:
     b = bench()
-    b.command(400, 1)
+    b.command(CMD_ARM, 1)
     b.tick(5, target(quat_wxyz=ROLLED_QUAT, thrust=0.9))
     assert abs(b.act.R_c[1, 2]) < 0.05
     assert b.vehicle.fresh_setpoint(b.now)
@@ -284,15 +302,15 @@ def test_streams_run_at_their_rates_and_follow_set_message_interval() -> None:
     count = b.count
     assert count(30) == pytest.approx(100, abs=3)
     assert count(31) == pytest.approx(50, abs=2)
-    assert b.command(511, 31, 4000) == [0]
+    assert b.command(CMD_INTERVAL, 31, 4000) == [0]
     assert count(31) == 250
-    assert b.command(511, 31, -1) == [0]
+    assert b.command(CMD_INTERVAL, 31, -1) == [0]
     assert count(31) == 0
-    assert b.command(511, 31, 0) == [0]
+    assert b.command(CMD_INTERVAL, 31, 0) == [0]
     assert count(31) == pytest.approx(50, abs=2)
-    assert b.command(511, 0, -1) == [4]  # HEARTBEAT is nobody's to stop
-    assert b.command(511, 9999, 1000) == [4]
-    assert b.command(511, math.nan, 1000) == [4]
+    assert b.command(CMD_INTERVAL, 0, -1) == [4]  # HEARTBEAT is nobody's to stop
+    assert b.command(CMD_INTERVAL, 9999, 1000) == [4]
+    assert b.command(CMD_INTERVAL, math.nan, 1000) == [4]
     assert count(0) == 1
 
 
@@ -311,34 +329,34 @@ def test_services_answer() -> None:
     b.heard.clear()
     for request in (Timesync(0, 77), Ping(5, 6, 0, 0), MissionRequestList(1, 1)):
         b.send(request)
-    assert b.command(512, 148) == [0]
-    assert b.command(520) == [0]
+    assert b.command(CMD_REQUEST, 148) == [0]
+    assert b.command(CMD_CAPABILITIES) == [0]
     assert b.command(31000) == [3]
     b.send(Timesync(0, 78))
     b.tick()
     assert any(isinstance(h, Timesync) and h.ts1 == 78 and h.tc1 > 0 for h in b.heard)
-    b.command(512, 148)
+    b.command(CMD_REQUEST, 148)
     assert any(isinstance(h, ServerVersion) and h.capabilities == 0x20DA for h in b.heard)
-    assert b.command(512, 242) == [0]
-    assert b.command(512, 9999) == [2]
+    assert b.command(CMD_REQUEST, 242) == [0]
+    assert b.command(CMD_REQUEST, 9999) == [2]
     assert mavlink.MAV_CMD_REQUEST_MESSAGE == 512
 
 
 def test_before_its_estimator_is_ready_it_shows_uninit_and_refuses_to_arm() -> None:
     b = bench(ready_us=2_000_000)
     assert b.beat().system_status == 0
-    assert b.command(400, 1) == [1]
+    assert b.command(CMD_ARM, 1) == [1]
     assert "Arming denied: Resolve system health failures first" in b.texts()
     b.tick(300)
     assert b.beat().system_status == 3
-    assert b.command(400, 1) == [0]
+    assert b.command(CMD_ARM, 1) == [0]
 
 
 def test_on_the_ground_the_motors_stand_still_until_they_are_up_to_speed() -> None:
     b = bench()
     b.tick(5, target())
-    b.command(176, 1, 6)
-    b.command(400, 1)
+    b.command(CMD_SET_MODE, 1, 6)
+    b.command(CMD_ARM, 1)
     b.tick(240, target())
     assert b.act.throttle == 0.0
     assert not b.vehicle.carries(b.now)
@@ -382,12 +400,12 @@ def test_nav_dll_act_acts_on_a_ground_station_that_falls_silent() -> None:
 
 @pytest.mark.parametrize(("main", "acks"), [(1, [0, 1]), (2, [0, 1]), (5, [0, 1]), (7, [0, 1]), (3, [0, 0])])
 def test_in_the_air_modes_that_need_sticks_are_rejected(main: int, acks: list[int]) -> None:
-    assert flying().command(176, 1, main) == acks
-    assert bench().command(176, 1, main) == [0, 0]  # disarmed, any mode may be entered
+    assert flying().command(CMD_SET_MODE, 1, main) == acks
+    assert bench().command(CMD_SET_MODE, 1, main) == [0, 0]  # disarmed, any mode may be entered
 
 
 def test_a_mission_nobody_uploaded_is_not_flown() -> None:
-    assert flying().command(176, 1, 4, 4) == [0, 1]
+    assert flying().command(CMD_SET_MODE, 1, 4, 4) == [0, 1]
     b = bench()
     b.send(MissionRequestList(1, 1))
     b.send(MissionCount(1, 1, 3))
@@ -422,8 +440,8 @@ def test_it_asks_for_the_time_ten_times_a_second_on_the_onboard_link() -> None:
 def test_take_off_climbs_to_its_altitude_holds_there_returns_and_lands() -> None:
     """The modes on board, flown by a point mass: what clients use without an attitude setpoint."""
     b = bench()
-    b.command(400, 1)
-    assert b.command(22, *[math.nan] * 7) == [0]
+    b.command(CMD_ARM, 1)
+    assert b.command(CMD_TAKEOFF, *[math.nan] * 7) == [0]
     b.drive(6.0)
     assert b.vehicle.mode.custom == LOITER
     assert b.point.x[2] == pytest.approx(-2.5, abs=0.1)
@@ -432,7 +450,7 @@ def test_take_off_climbs_to_its_altitude_holds_there_returns_and_lands() -> None
     b.drive(3.0)
     assert b.point.x[0] == pytest.approx(3.0, abs=0.1)
     b.send(ParamSet(1, 1, "RTL_RETURN_ALT", 6.0, 9))
-    assert b.command(20) == [0]
+    assert b.command(CMD_RETURN) == [0]
     b.drive(6.0)
     assert b.point.x[2] < -5.0
     b.drive(25.0)
@@ -442,10 +460,10 @@ def test_take_off_climbs_to_its_altitude_holds_there_returns_and_lands() -> None
 
 def test_it_lands_where_it_is_told_to_and_disarms() -> None:
     b = bench()
-    b.command(400, 1)
-    b.command(22)
+    b.command(CMD_ARM, 1)
+    b.command(CMD_TAKEOFF)
     b.drive(6.0)
-    assert b.command(21) == [0]
+    assert b.command(CMD_LAND) == [0]
     b.drive(3.0)
     assert 0.5 < b.point.v[2] < 0.9  # MPC_LAND_SPEED
     b.drive(6.0)
@@ -461,8 +479,8 @@ def pulled(newton: float, _: Point) -> np.ndarray:
 def test_a_hold_finds_its_height_under_a_load_it_does_not_know() -> None:
     """The position loop's integral carries what hangs on the cable, and lets go of it again."""
     b = bench()
-    b.command(400, 1)
-    b.command(22)
+    b.command(CMD_ARM, 1)
+    b.command(CMD_TAKEOFF)
     b.drive(6.0)
     for newton in (2.0, 0.0):
         b.drive(8.0, partial(pulled, newton))
@@ -497,11 +515,11 @@ def streamed(b: Bench, value: PositionTarget, seconds: float) -> None:
 
 def in_offboard_at_altitude() -> Bench:
     b = bench()
-    b.command(400, 1)
-    b.command(22)
+    b.command(CMD_ARM, 1)
+    b.command(CMD_TAKEOFF)
     b.drive(8.0)
     b.send(position_target(x=tuple(b.point.x.tolist())))
-    assert b.command(176, 1, 6) == [0, 0]
+    assert b.command(CMD_SET_MODE, 1, 6) == [0, 0]
     return b
 
 
@@ -548,15 +566,15 @@ def test_a_stream_of_positions_that_ends_is_a_lost_offboard_signal() -> None:
 
 def test_do_reposition_goes_into_hold_and_there() -> None:
     b = bench()
-    b.command(400, 1)
-    b.command(22)
+    b.command(CMD_ARM, 1)
+    b.command(CMD_TAKEOFF)
     b.drive(8.0)
     start = b.point.x.copy()
     home = Home()
     lat, lon, altitude = geodetic(home, start + np.array([2.0, 1.0, -1.0]))
-    assert b.command(192, -1, 0, 0, math.nan, lat, lon, altitude) == [3]  # without leave to change the mode
-    assert b.command(192, -1, 1, 0, math.nan, 91.0, lon, altitude) == [2]
-    assert b.command(192, -1, 1, 0, math.nan, lat, lon, altitude) == [0]
+    assert b.command(CMD_REPOSITION, -1, 0, 0, math.nan, lat, lon, altitude) == [3]  # without leave to change the mode
+    assert b.command(CMD_REPOSITION, -1, 1, 0, math.nan, 91.0, lon, altitude) == [2]
+    assert b.command(CMD_REPOSITION, -1, 1, 0, math.nan, lat, lon, altitude) == [0]
     b.drive(8.0)
     assert b.vehicle.mode.custom == LOITER
     assert np.linalg.norm(b.point.x - start - (2.0, 1.0, -1.0)) < 0.1

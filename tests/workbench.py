@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bridge.wire.dialect import mavlink
 from bridge.wire.messages import reread
 from bridge.wire.values import IN_AIR, ON_GROUND, AttitudeTarget, Command, CommandAck, Heartbeat, StatusText
 from cablequad.model import lie
@@ -14,6 +15,15 @@ from sitl.firmware.outbox import ATTITUDE_QUATERNION, Outgoing
 from sitl.firmware.telemetry import BUILD, Snapshot
 
 TICK = 4000
+CMD_ARM = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
+CMD_SET_MODE = mavlink.MAV_CMD_DO_SET_MODE
+CMD_INTERVAL = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
+CMD_TAKEOFF = mavlink.MAV_CMD_NAV_TAKEOFF
+CMD_REQUEST = mavlink.MAV_CMD_REQUEST_MESSAGE
+CMD_REPOSITION = mavlink.MAV_CMD_DO_REPOSITION
+CMD_RETURN = mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH
+CMD_LAND = mavlink.MAV_CMD_NAV_LAND
+CMD_CAPABILITIES = mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES
 LEVEL = (1.0, 0.0, 0.0, 0.0)
 BODY = Body(0.755, 25.0, 9.81)
 LINKS = (LinkKind.ONBOARD, LinkKind.GROUND, LinkKind.GROUND)

@@ -119,13 +119,13 @@ class Participants:
 @contextlib.contextmanager
 def interpreter_restored() -> Iterator[None]:
     """What a control loop changes of Python and of its processors is as before afterwards."""
-    processors = os.sched_getaffinity(0) if sys.platform == "linux" else set()
+    processors = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
     switch, thresholds = sys.getswitchinterval(), gc.get_threshold()
     try:
         yield
     finally:
         sys.setswitchinterval(switch)
-        if sys.platform == "linux":
+        if hasattr(os, "sched_setaffinity"):
             os.sched_setaffinity(0, processors)
         gc.set_threshold(*thresholds)
         gc.unfreeze()

@@ -6,7 +6,6 @@ import math
 import multiprocessing
 import os
 import signal
-import sys
 import threading
 from collections.abc import Callable
 from multiprocessing.connection import Connection
@@ -170,7 +169,7 @@ def pin(which: int) -> None:
     Loopback keeps the order of datagrams to different sockets only while their sender does not move; in lockstep a run
     is the same every time only if a tick's last datagram is the last to arrive.
     """
-    if sys.platform == "linux":
+    if hasattr(os, "sched_setaffinity"):  # not on every system
         allowed = sorted(os.sched_getaffinity(0))
         os.sched_setaffinity(0, {allowed[which % len(allowed)]})
 

@@ -11,7 +11,6 @@ import multiprocessing
 import os
 import pickle
 import signal
-import sys
 import time
 from collections.abc import Mapping, Sequence
 from multiprocessing.connection import Connection, wait
@@ -109,7 +108,7 @@ class LogProcess:
         down, self._down = context.Pipe(duplex=False)
         self._up, up = context.Pipe(duplex=False)
         truth, self.truth_end = context.Pipe(duplex=False)
-        if sys.platform == "linux":  # elsewhere pipes keep the size they have
+        if hasattr(fcntl, "F_SETPIPE_SZ"):  # elsewhere pipes keep the size they have
             for pipe in (self._down, self.truth_end):
                 with contextlib.suppress(OSError):
                     fcntl.fcntl(pipe.fileno(), fcntl.F_SETPIPE_SZ, PIPE_BYTES)
