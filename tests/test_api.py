@@ -104,7 +104,8 @@ def test_arrays_become_tables(tmp_path: Path) -> None:
     assert table.index.name == "t"
     assert table["link_direction_3_4_2"].to_numpy().tolist() == sim["link_direction"][:, 3, 4, 2].tolist()
     state = cq.fly(cq.scenario("paper-case-1-50hz", duration_s=0.5), out=tmp_path).log["/plant/state"]
-    assert state["t"][-1] == pytest.approx(0.5, abs=0.05)  # it begins before the release
+    assert state["t"][0] < 0.0  # it begins before the release
+    assert np.abs(state["t"]).min() < 0.01
     assert state.to_pandas()["tension_0_4"].to_numpy().tolist() == state["tension"][:, 0, 4].tolist()
 
 

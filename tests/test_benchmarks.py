@@ -53,7 +53,6 @@ def test_every_benchmark_has_a_short_form() -> None:
     assert {m.name for m in pkgutil.iter_modules(benchmarks.__path__)} == set(SHORT) | HELPERS
 
 
-@pytest.mark.alone
 @pytest.mark.parametrize("name", SHORT)
 def test_a_benchmark_measures_to_its_end(name: str, tmp_path: Path) -> None:
     arguments, printed = SHORT[name]

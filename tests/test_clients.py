@@ -10,8 +10,6 @@ from pathlib import Path
 import pytest
 from conftest import Command, wait_for_line
 
-pytestmark = pytest.mark.alone
-
 CLIENTS = Path(__file__).parent / "clients"
 MAVPROXY = os.environ.get("CABLEQUAD_MAVPROXY") or shutil.which("mavproxy.py")
 

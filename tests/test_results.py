@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from bridge.loop.fly import Outcome
 from cablequad.model.state import State
 from cablequad.model.system import System
 from logs.reading.reader import read
@@ -16,9 +17,11 @@ from logs.views.results import FIGURES, LED_ON, rows
 from logs.views.vehicle_reports import vehicle_reports
 from missions.flight.options import Options, Progress
 from missions.flight.recording.slack import LASTS_US, SlackCables
+from missions.flight.run import NO_TIME
 from missions.flight.run import run as run_flight
-from missions.flight.summary import Summary
+from missions.flight.summary import Asked, Known, Summary, Track, summarize
 from missions.scenario.loading import load
+from missions.scenario.metrics import Grounded
 from missions.scenario.tables import AcceptanceTable
 
 RESULT: dict[str, Any] = {
@@ -40,6 +43,16 @@ def test_a_missions_figures_stand_beside_what_was_asked_of_them() -> None:
     assert shown["messages sent"].value == "15224"
     assert shown["last error to its reference"].asked == LED_ON  # not beside "set down" as a second truth
     assert not any(label.startswith("age of") for label in shown)  # all was measured at once
+
+
+@pytest.mark.parametrize(("crashed", "broken", "passes"), [(0, 0, True), (4, 0, False), (1, 1, True), (2, 1, False)])
+def test_a_mission_whose_vehicles_crash_does_not_pass(crashed: int, broken: int, passes: bool) -> None:
+    """Four vehicles were dropped from 13 m after the load stood on its mark, and the flight had passed."""
+    grounded = Grounded((0.0, 0.0, -0.1), 0.1, 3.0, 0.6, crashed)
+    known = Known(Track((0.0, 0.0, -0.1), False, [5] * 4), Outcome(True, False, "flown"), NO_TIME, grounded=grounded)
+    s = summarize(Asked("x", AcceptanceTable(), broken=broken), known)
+    assert s.passed is passes
+    assert ("crashed" in s.reason) is not passes
 
 
 def test_every_criterion_of_a_scenario_has_its_figure() -> None:

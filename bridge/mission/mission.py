@@ -161,6 +161,8 @@ class Mission:
             await self.begin(Phase.RELEASE)
         if self.phase in (Phase.TAKE_OFF, Phase.RELEASE):
             await self.begin(Phase.LAND)
+        elif self.phase is Phase.LAND:
+            await Wait(lambda: self.progress.done)
         await self.begin(Phase.DISARM)
 
     def close(self) -> None:
@@ -218,8 +220,9 @@ class Mission:
         if self._aborted or phase in (Phase.SET_DOWN, Phase.RELEASE, Phase.LAND, Phase.DISARM):
             self.failure = self.failure or text
             self.tell("abort", "all", text)
+            first, self.progress.overdue = not self.progress.overdue, True
             self.progress.restart()
-            self.progress.done = True  # go on towards the ground all the same
+            self.progress.done = not (phase is Phase.LAND and first)  # towards the ground, but not by a fall
             if phase is Phase.DISARM:
                 self.finished = True
             return

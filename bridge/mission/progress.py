@@ -25,12 +25,14 @@ class Progress:
         self.entered = 0.0  # s, when the phase began, later by as long as the plan's clock stood
         self.touch_down = TouchDown(scale.pushed_m)  # of those that land
         self.touched_at: float | None = None  # s, when all stood that land
+        self.overdue = False  # the phase has lasted too long once
         self.taking = False  # what hangs on the vehicles is on its way from one to the other
         self._still_since: float | None = None
 
     def enter(self, phase: Phase) -> None:
         """A phase begins."""
         self.phase, self.done, self.entered, self.clock.time, self._still_since = phase, False, self.now, 0.0, None
+        self.overdue = False
 
     def restart(self) -> None:
         """The phase goes on, and its time begins anew."""

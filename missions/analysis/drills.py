@@ -13,7 +13,7 @@ from missions.flight.summary import Summary
 from missions.scenario import loading as scenarios
 from missions.scenario.loading import Flight, ScenarioError
 from missions.scenario.mission_setup import scale_of_flight
-from missions.scenario.tables import CutTable, FailureTable, GroundTable, MissionTable
+from missions.scenario.tables import BREAKING, CutTable, FailureTable, GroundTable, MissionTable
 
 HOVER_S = 2.0  # when what happens at hover happens, since the release
 TRANSIT_S = 6.0
@@ -154,7 +154,7 @@ def compared(drill: Drill, protected: Summary, bare: Summary, near_m: float = US
 
 def _safe(s: Summary, drill: Drill) -> bool:
     """Whether nobody but the vehicle that broke came to harm, and the load stands softly."""
-    broke = 1 if any(f.kind in ("rotor-out", "vehicle-out", "cable-cut") for f in drill.failures) else 0
+    broke = 1 if any(f.kind in BREAKING for f in drill.failures) else 0
     soft = s.touch_down_m_s is not None and s.touch_down_m_s <= SOFT_M_S
     return soft and (s.vehicles_crashed or 0) <= broke
 

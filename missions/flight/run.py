@@ -14,7 +14,7 @@ from bridge.loop.fly import SILENT_S, FlightParts, Outcome, Patience, fly
 from bridge.loop.tick_timing import TickStatistics
 from bridge.loop.time_sync import TimeSync
 from bridge.mission.mission import Mission
-from bridge.mission.phases import CARRIED, FLY
+from bridge.mission.phases import CARRIED, FLY, Phase
 from bridge.wire.link import LinkError, Received
 from bridge.wire.link_faults import Channel, FaultCounts, generator
 from cablequad.control.control_step import Sample
@@ -32,6 +32,7 @@ from missions.flight.warm_up import predict_once, warm_up
 from missions.scenario import loading as scenarios
 from missions.scenario.loading import Flight
 from missions.scenario.mission_setup import reported_figures
+from missions.scenario.tables import BREAKING
 from sitl.external.seats import BOOT_S
 from sitl.settings import HOST
 
@@ -39,6 +40,7 @@ __all__ = ["Options", "Progress", "run"]
 
 CONNECT_S = 15.0  # wall clock, for our own vehicles to be heard
 WAITS_S = 5.0  # wall clock, between lines that say what is waited for
+COMING_DOWN = frozenset({Phase.RELEASE, Phase.LAND, Phase.DISARM})  # the load stands: nothing is left to give up
 SHOWN = frozenset(
     {
         "script",
@@ -168,7 +170,10 @@ def _summarized(
         grounded, mark = grounded or reported_figures(mission), mission.figures.mark
     cut_short = mission is None and flight.trajectory.duration > flight.scenario.duration_s
     summary = summarize(
-        Asked(flight.scenario.name, flight.scenario.acceptance, flight.script is not None, cut_short),
+        Asked(
+            flight.scenario.name, flight.scenario.acceptance, flight.script is not None, cut_short,
+            len({f.vehicle for f in flight.scenario.failures if f.kind in BREAKING}),
+        ),
         Known(
             sink.track, outcome, timing, sent=link.counters.sent, lost=lost, missed_deadlines=missed,
             n=len(flight.system.m), true=judged.followed, grounded=grounded, mark=mark,
@@ -295,7 +300,7 @@ class _Watch:
         self._started = now if self._started is None else self._started
         error, mission = math.hypot(*sample.error.x[:3].tolist()), self._prepared.mission
         self._told.progress.flown(sample.t, self._duration_s, error, sample.t / max(1e-9, now - self._started))
-        if mission is None or sample.t <= self._duration_s:
+        if mission is None or sample.t <= self._duration_s or mission.phase in COMING_DOWN:
             return None
         late = f"the mission is not over after {self._duration_s:g} s (duration_s), in phase {phase}"
         if not mission.plan.protect:

@@ -138,6 +138,7 @@ class Asked(NamedTuple):
     limits: AcceptanceTable
     scripted: bool = False  # what such a mission never did is not asked of it
     cut_short: bool = False  # asked to end early: what is of the end is not asked of it
+    broken: int = 0  # vehicles that the scenario breaks, and that may come down as they like
 
 
 class Known(NamedTuple):
@@ -167,8 +168,12 @@ def summarize(asked: Asked, k: Known) -> Summary:
             f"{c.name} is {'not reached' if c.measured is None else f'{c.measured:.4g}'}, asked {c.limit:g}"
             for c in failed
         )
+    crashed = max(0, (s.vehicles_crashed or 0) - asked.broken)
+    if k.outcome.completed and crashed:
+        told = f"{crashed} vehicle{'s' if crashed > 1 else ''} crashed"
+        reason = f"{reason}; {told}" if failed else told
     return s._replace(
-        passed=k.outcome.completed and not failed, tested=not k.outcome.untested, reason=reason,
+        passed=k.outcome.completed and not failed and not crashed, tested=not k.outcome.untested, reason=reason,
         criteria=[c._asdict() for c in found],
     )  # fmt: skip
 

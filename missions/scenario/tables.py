@@ -195,6 +195,9 @@ class GroundTable(_Table):
     stand_off_m: Positive = 0.45  # from its attachment outwards, where a vehicle's stands_m is not given
 
 
+BREAKING = frozenset({"rotor-out", "vehicle-out", "cable-cut"})  # a vehicle, which may come down as it likes
+
+
 class FailureTable(_Table):
     """[[failures]]: what breaks, in time since the release (on the ground: since all are armed)"""
 
@@ -435,7 +438,7 @@ class Scenario(_Table):
 
     name: Annotated[str, Field(min_length=1, max_length=80, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]  # of its logs
     description: str = ""  # a line for people
-    duration_s: Positive  # to fly at most
+    duration_s: Positive  # to fly at most; of a mission: until its load stands released
     seed: Annotated[int, Field(ge=0)] = 0  # of all noise, wind and faults
     epoch_s: Annotated[int, Field(ge=0, le=4_000_000_000)] = 1_700_000_000  # UNIX time of their clock's zero
     gravity_m_s2: Positive = 9.81  # downwards
