@@ -2,6 +2,7 @@
 
 import asyncio
 import inspect
+import os
 import runpy
 import subprocess
 import sys
@@ -184,6 +185,45 @@ def test_a_program_that_fails_or_gives_up_in_the_air_has_its_load_set_down(tmp_p
     assert "enough seen" in seen[1].summary.reason
     with pytest.raises(ScenarioError, match=r"no \[mission\]"):
         cq.flying("paper-case-1")
+
+
+USERS = """import asyncio
+import numpy as np
+import cablequad as cq
+
+flight = cq.scenario("paper-case-1", duration_s=2.0)
+sim = cq.simulate(flight)
+q: np.ndarray = sim["link_direction"]
+worst: float = float(np.degrees(np.arccos(q[..., 2].min())))
+flown = cq.fly(flight, out="runs")
+tension = flown.log["/plant/state"]["tension"]
+print(flown.summary.passed, flown.log_path.name, tension.shape, worst)
+system = cq.System.paper(1)
+M, G, B = cq.linearize(system)
+state: cq.State = cq.State.hanging(system)
+
+async def main() -> None:
+    async with cq.flying("ground-to-ground") as fleet:
+        await fleet.preflight()
+        x, y, z = fleet.load_m
+        print(x + y + z, M @ G, B.shape, state.x0)
+
+asyncio.run(main())
+"""
+
+
+@pytest.mark.parametrize(
+    ("wrong", "says"), [("", ""), ("cq.simulate(3)", "arg-type"), ("cq.liftoff()", "attr-defined")]
+)
+def test_what_users_write_is_typed(wrong: str, says: str, tmp_path: Path) -> None:
+    path = tmp_path / "users.py"
+    path.write_text(f"{USERS}{wrong}\n")
+    done = subprocess.run(
+        [sys.executable, "-m", "mypy", "--strict", "--follow-imports=silent", "--config-file=", str(path)],
+        cwd=tmp_path, env={**os.environ, "MYPYPATH": str(ROOT)}, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert (done.returncode == 0) is (not wrong), done.stdout
+    assert says in done.stdout
 
 
 def test_every_table_of_a_log_has_its_fields_in_the_schema() -> None:
