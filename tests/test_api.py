@@ -171,6 +171,8 @@ def test_a_program_that_fails_or_gives_up_in_the_air_has_its_load_set_down(tmp_p
         async with cq.flying("ground-to-ground", out=tmp_path) as fleet:
             seen.append(fleet)
             await fleet.preflight()
+            with pytest.raises(TimeoutError):
+                await asyncio.wait_for(fleet.wait(3600.0), 0.05)
             await fleet.arm()
             fleet.abort("enough seen")
 

@@ -5,10 +5,11 @@ the fleet; so the same program gives the same flight, as long as it awaits one t
 """
 
 import asyncio
+import contextlib
 import queue
 import threading
 from collections.abc import Callable, Coroutine, Generator
-from concurrent.futures import Future
+from concurrent.futures import Future, InvalidStateError
 from dataclasses import replace
 from types import TracebackType
 from typing import Any, NamedTuple, NoReturn, TypeVar
@@ -37,6 +38,11 @@ class _Until(NamedTuple):
 
     until: Until
     answer: "Future[None]"
+
+    @property
+    def over(self) -> bool:
+        """Whether it has come, or the program waits no longer."""
+        return self.answer.cancelled() or self.until()
 
 
 class _Leave(NamedTuple):
@@ -92,16 +98,18 @@ class Requests:
                 return
             self._over = why
         error = MissionError(f"the flight is over: {why}")
+        left: list[_Until | _Job] = [*self._waiting]
+        self._waiting = []
         while True:
             try:
                 item = self._asked.get_nowait()
             except queue.Empty:
                 break
             if not isinstance(item, _Leave):
-                item.answer.set_exception(error)
-        for item in self._waiting:
-            item.answer.set_exception(error)
-        self._waiting = []
+                left.append(item)
+        for waiting in left:
+            with contextlib.suppress(InvalidStateError):
+                waiting.answer.set_exception(error)
         if not self.begun.done():
             self.begun.set_exception(MissionError(why))
 
@@ -119,9 +127,10 @@ class Requests:
 
     def _serve(self) -> _Leave | None:
         """Do what is asked, until something is awaited; the last word, once it is said."""
-        for awaited in [a for a in self._waiting if a.until()]:
+        for awaited in [a for a in self._waiting if a.over]:
             self._waiting.remove(awaited)
-            awaited.answer.set_result(None)
+            with contextlib.suppress(InvalidStateError):  # the program waits no longer
+                awaited.answer.set_result(None)
         while True:
             try:
                 item = self._asked.get(block=not self._waiting)
@@ -138,7 +147,7 @@ class Requests:
                 item.answer.set_exception(error)
 
     def _turns_up(self) -> bool:
-        return not self._asked.empty() or any(a.until() for a in self._waiting)
+        return not self._asked.empty() or any(a.over for a in self._waiting)
 
 
 class _Awaited(Wait):
