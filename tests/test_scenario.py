@@ -71,6 +71,11 @@ def test_a_wrong_scenario_is_refused_in_one_line_that_names_the_key(
         (("fly", "--speed", "fast"), "--speed: 'fast' given"),
         (("fly", "--speed", "-1"), "--speed: '-1' given"),
         (("fly", "--duration", "0"), "--duration: 0.0 given"),
+        (
+            ("fly", "--connect", "udpin:0.0.0.0:14540"),
+            "--connect udpin:0.0.0.0:14540: vehicles from beyond this machine",
+        ),
+        (("identify", "--connect", "udpout:10.0.0.7:14540"), "say yes with --arm"),
         (("fly", "--connect", "udpin:127.0.0.1:1", "--speed", "1"), "with --connect the vehicles set it"),
         (("fly", "--connect", "14540"), "udpin:HOST:PORT"),
         (("scenarios", "show", "nothing"), "neither a shipped scenario nor a TOML file"),

@@ -1,5 +1,6 @@
 """Sockets: where a link listens or speaks, over UDP or TCP, and who is on the other side."""
 
+import ipaddress
 import socket
 from collections import OrderedDict
 from typing import NamedTuple
@@ -57,6 +58,15 @@ class Endpoint(NamedTuple):
         address = (host, int(port))
         listens = scheme in ("udpin", "udp", "tcpin")
         return cls(address if listens else None, None if listens else address, scheme.startswith("tcp"))
+
+    @property
+    def local(self) -> bool:
+        """Whether nothing but this machine can be on the other side."""
+        host = (self.bind or self.peer or ("", 0))[0]
+        try:
+            return ipaddress.ip_address(host).is_loopback
+        except ValueError:
+            return host == "localhost"
 
 
 class Peers:

@@ -9,6 +9,7 @@ import typer
 
 from missions.cli.exits import FAILED, fail, untested, usage
 from missions.cli.options import (
+    ArmOption,
     BackendOption,
     ConnectOption,
     FirmwareOption,
@@ -17,6 +18,7 @@ from missions.cli.options import (
     PortOffset,
     ScenarioArgument,
     backend,
+    endpoints,
     load,
     refuse,
 )
@@ -148,6 +150,7 @@ def identify(
     backend_name: BackendOption = "builtin",
     launch: LaunchOption = None,
     connect: ConnectOption = None,
+    arm: ArmOption = False,
 ) -> None:
     """Tilt the vehicles a little while they hover on slack cables; find attitude response, delay and hover thrust.
 
@@ -160,7 +163,7 @@ def identify(
     from rich.console import Console
     from rich.table import Table
 
-    from bridge.wire.link import Endpoint, LinkError
+    from bridge.wire.link import LinkError
     from logs.reading.reader import LogError
     from missions.analysis.drills import changed
     from missions.analysis.identify import identified, with_responses
@@ -181,7 +184,7 @@ def identify(
         unjudged = dict.fromkeys(type(asked.scenario.acceptance).model_fields)
         flight = changed(asked, {"acceptance": asked.scenario.acceptance.model_copy(update=unjudged)})
         script = (resources.files("missions") / "scripts" / "tilt_steps.py").read_text(encoding="utf-8")
-        ends = tuple(Endpoint.parse(url) for url in connect or ())
+        ends = endpoints(connect, arm)
         speed = math.inf if who == "builtin" and not ends else 1.0
         alone = who == "builtin" and not ends
         options = Options(ends, out, speed, port_offset, True, backend=who, launch=launch, in_process=alone)

@@ -16,6 +16,7 @@ from missions.cli.before_flight import check, identify, margins, preflight
 from missions.cli.exits import FAILED, INTERRUPTED, UNTESTED, USAGE, fail, untested, usage
 from missions.cli.log_commands import log_app, report
 from missions.cli.options import (
+    ArmOption,
     BackendOption,
     ConnectOption,
     FirmwareOption,
@@ -28,6 +29,7 @@ from missions.cli.options import (
     SpeedOption,
     UnsignedOption,
     backend,
+    endpoints,
     load,
     refuse,
 )
@@ -96,6 +98,7 @@ def fly(
     as_json: JsonOption = False,
     port_offset: FreePortOffset = None,
     firmware: FirmwareOption = None,
+    arm: ArmOption = False,
     configure: Annotated[
         bool,
         typer.Option(help="Set the parameters that a vehicle needs to be flown (with --connect it is only asked)."),
@@ -120,7 +123,7 @@ def fly(
     Exit code 0 if the scenario's acceptance criteria hold, 1 if not, 2 for usage, 3 if the computer could not carry it
     out, 130 after Ctrl-C.
     """
-    from bridge.wire.link import Endpoint, LinkError
+    from bridge.wire.link import LinkError
     from bridge.wire.signing_keys import KeyFileError, read_key
     from missions.flight.run import Options, run
     from missions.flight.terminal import progress
@@ -145,7 +148,7 @@ def fly(
         flight = load(scenario, duration, seed, firmware, script, backend=who, connected=bool(connect))
         refuse(flight, as_json)
         key = None if signing_key is None else read_key(signing_key)
-        ends = tuple(Endpoint.parse(url) for url in connect or ())
+        ends = endpoints(connect, arm)
         options = Options(
             ends,
             out,

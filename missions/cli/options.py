@@ -8,6 +8,7 @@ import typer
 from missions.cli.exits import fail, usage
 
 if TYPE_CHECKING:
+    from bridge.wire.ports import Endpoint
     from missions.flight.processes.simulate import Backend
     from missions.scenario.loading import Flight
 
@@ -60,6 +61,10 @@ ConnectOption = Annotated[
         help="Fly what is there, start no simulator: udpin:HOST:PORT or udpout:HOST:PORT, one per vehicle and one for "
         "the payload tracker."
     ),
+]
+ArmOption = Annotated[
+    bool,
+    typer.Option("--arm", help="Yes: arm vehicles that are connected from beyond this machine; nobody is near them."),
 ]
 KeyOption = Annotated[
     Path | None, typer.Option(help="Sign with the key in this file, and obey nothing that is not signed with it.")
@@ -124,3 +129,17 @@ def refuse(flight: "Flight", as_json: bool) -> None:
     if as_json:
         print(json.dumps({"scenario": flight.scenario.name, "passed": False, "reason": reason, "cannot_fly": found}))
     fail(f"{flight.scenario.name}: {reason}")
+
+
+def endpoints(urls: list[str] | None, arm: bool) -> "tuple[Endpoint, ...]":
+    """Where `--connect` finds vehicles and tracker; from beyond this machine only with an explicit yes to arm them.
+
+    Raises LinkError where an address cannot be read.
+    """
+    from bridge.wire.ports import Endpoint
+
+    out = tuple(Endpoint.parse(url) for url in urls or ())
+    for url, end in zip(urls or (), out, strict=True):
+        if not arm and not end.local:
+            usage(f"--connect {url}: vehicles from beyond this machine are armed by this command; say yes with --arm")
+    return out
