@@ -378,6 +378,7 @@ def test_a_run_that_is_killed_with_all_its_processes_keeps_all_but_half_a_second
     assert heard_ms * 1e-3 - kept <= 0.5
 
 
+@pytest.mark.alone
 @pytest.mark.parametrize("after_s", [1.0, 1.8, 2.6])
 def test_ctrl_c_while_it_gets_ready_leaves_no_traceback_of_anybody(after_s: float, tmp_path: Path, offset: int) -> None:
     fly = Command("fly", "--no-replay", "--out", str(tmp_path), "--port-offset", str(offset))
