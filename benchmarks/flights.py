@@ -19,6 +19,7 @@ from cablequad.analysis.rollout import LoopTiming, rollout
 from cablequad.control.trajectory import at
 from logs.reading.reader import read
 from missions.flight.run import Options, Progress, run
+from missions.scenario import laws
 from missions.scenario import loading as scenarios
 
 FLIGHTS = (
@@ -57,7 +58,7 @@ def flown(name: str, firmware: str, folder: Path) -> dict[str, Any]:
 def not_recorded(name: str) -> dict[str, float]:
     """The same plan by the same law without a wire, a sensor or a log."""
     flight = scenarios.load(name)
-    law, period = scenarios.design(flight), flight.control_us * 1e-6
+    law, period = laws.design(flight), flight.control_us * 1e-6
     timing = LoopTiming(period, flight.control_us // flight.physics_us, flight.scenario.control.delay_ticks)
     ticks = round(flight.scenario.duration_s / period)
 
@@ -65,7 +66,7 @@ def not_recorded(name: str) -> dict[str, float]:
         used = _processor_s()
         plan = flight.trajectory
         for _ in rollout(
-            law, flight.airframe, lambda t: at(plan, t), flight.initial, timing, ticks, law=scenarios.law_of(flight)
+            law, flight.airframe, lambda t: at(plan, t), flight.initial, timing, ticks, law=laws.law_of(flight)
         ):
             pass
         return _processor_s() - used

@@ -24,6 +24,7 @@ from cablequad.control.trajectory import at
 from cablequad.model.attitude import Setpoint, fly
 from cablequad.model.integrate import scratch
 from missions.analysis.check import check
+from missions.scenario import laws
 from missions.scenario import loading as scenarios
 
 SIZES = ("4x5", "6x20", "8x40")
@@ -61,7 +62,7 @@ def measured(n: int, links: int, folder: Path) -> dict[str, Any]:
     path = folder / "ring.toml"
     path.write_text(ring(n, links))
     flight = scenarios.load(str(path))
-    design_s, design = took(lambda: scenarios.design(flight))
+    design_s, design = took(lambda: laws.design(flight))
     period = flight.control_us * 1e-6
     loop = sampled_loop(flight.system, flight.airframe, period, flight.scenario.control.delay_ticks)
     judge_s = None

@@ -21,9 +21,9 @@ from missions.flight.live_script import Flying
 from missions.flight.options import Options, Progress
 from missions.flight.run import run
 from missions.flight.summary import Summary
-from missions.scenario import loading
+from missions.scenario import flights, laws, loading
 from missions.scenario.feasibility import obstacles
-from missions.scenario.loading import Flight
+from missions.scenario.flights import Flight
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -112,9 +112,10 @@ class Log:
 
     def show(self, width: int = 960, height: int = 600) -> None:
         """Show the replay in the notebook, pixels large. Raises ImportError where rerun-notebook is not installed."""
+        from logs.views.replay import show
+
         with extra():
-            from logs.views.notebook import show
-        show(self.run, width, height)
+            show(self.run, width, height)
 
 
 class Flown:
@@ -139,7 +140,7 @@ def scenario(name: str | Path, *, duration_s: float | None = None, seed: int | N
 
 def design(flight: Flight | str) -> Design:
     """The controller of a scenario. Raises ScenarioError where there are no stabilising gains."""
-    return loading.design(_flight(flight))
+    return laws.design(_flight(flight))
 
 
 def simulate(flight: Flight | str, duration_s: float | None = None) -> Simulation:
@@ -153,7 +154,7 @@ def simulate(flight: Flight | str, duration_s: float | None = None) -> Simulatio
     timing = LoopTiming(period, f.control_us // f.physics_us, f.scenario.control.delay_ticks)
     ticks = math.floor((f.scenario.duration_s if duration_s is None else duration_s) / period + 1e-9)
     plan = f.trajectory
-    samples = list(rollout(law, f.airframe, lambda t: at(plan, t), f.initial, timing, ticks, law=loading.law_of(f)))
+    samples = list(rollout(law, f.airframe, lambda t: at(plan, t), f.initial, timing, ticks, law=laws.law_of(f)))
 
     def over(value: Any) -> Array:
         return np.array([value(s) for s in samples])
@@ -201,7 +202,7 @@ def read(path: str | Path) -> Log:
 def _flyable(flight: Flight | str) -> Flight:
     f = _flight(flight)
     if found := obstacles(f):
-        raise loading.ScenarioError(f"{f.scenario.name}: cannot fly: {'; '.join(found)}")
+        raise flights.ScenarioError(f"{f.scenario.name}: cannot fly: {'; '.join(found)}")
     return f
 
 

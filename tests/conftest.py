@@ -82,13 +82,13 @@ def next_offset() -> int:
 
 
 @contextlib.contextmanager
-def _shared_computer(run: str, alone: bool) -> Iterator[None]:
+def _shared_computer(alone: bool) -> Iterator[None]:
     """While inside no test is that needs the computer to itself, or no other test at all where this is one.
 
     Who waits holds the gate, so that nobody else goes in before.
     """
-    folder = Path(tempfile.gettempdir())
-    with open(folder / f"cablequad-{run}-gate", "w") as gate, open(folder / f"cablequad-{run}-room", "w") as room:
+    locks = f"{tempfile.gettempdir()}/cablequad-tests-{os.getuid()}"
+    with open(f"{locks}-gate", "w") as gate, open(f"{locks}-room", "w") as room:
         fcntl.flock(gate, fcntl.LOCK_EX)
         fcntl.flock(room, fcntl.LOCK_EX if alone else fcntl.LOCK_SH)
         fcntl.flock(gate, fcntl.LOCK_UN)
@@ -97,10 +97,7 @@ def _shared_computer(run: str, alone: bool) -> Iterator[None]:
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, Any, Any]:
-    run = os.environ.get("PYTEST_XDIST_TESTRUNUID")
-    if run is None:
-        return (yield)
-    with _shared_computer(run, item.get_closest_marker("alone") is not None):
+    with _shared_computer(item.get_closest_marker("alone") is not None):
         return (yield)
 
 

@@ -21,7 +21,8 @@ from logs.reading.reader import LogError
 from logs.reading.records import entries
 from logs.reading.shapes import MESSAGES, Topic, fields
 from missions.analysis.replay_control import redecide
-from missions.scenario.loading import ScenarioError, text
+from missions.scenario.flights import ScenarioError
+from missions.scenario.loading import text
 
 ROOT = Path(__file__).parents[1]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))

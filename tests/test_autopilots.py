@@ -49,7 +49,7 @@ from missions.flight.processes.launch import (
 from missions.flight.processes.simulate import Serving, settings
 from missions.scenario import loading as scenarios
 from missions.scenario.autopilots import behind
-from missions.scenario.loading import ScenarioError
+from missions.scenario.flights import ScenarioError
 from sitl.external import ardupilot, px4
 from sitl.external.ardupilot import ArduPilotSeat, PacketError, servos
 from sitl.external.joint import JointServer, Steps, steps

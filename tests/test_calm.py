@@ -7,13 +7,14 @@ import pytest
 
 from cablequad.analysis.rollout import LoopTiming, rollout
 from cablequad.control.trajectory import at
+from missions.scenario import laws
 from missions.scenario import loading as scenario
 
 
 @pytest.fixture(scope="module")
 def case_2() -> list:
     flight = scenario.load("paper-case-2")
-    design = scenario.design(flight)
+    design = laws.design(flight)
     plan = flight.trajectory
     return list(rollout(design, flight.airframe, lambda t: at(plan, t), flight.initial, LoopTiming(0.004, 4, 1), 1000))
 

@@ -25,6 +25,7 @@ from cablequad.model.attitude import Airframe
 from cablequad.model.state import State
 from cablequad.model.system import Cable, Payload, Quadrotor, System
 from missions.analysis.check import check
+from missions.scenario import laws
 from missions.scenario import loading as scenario
 
 PAPER = System.paper(1)
@@ -255,7 +256,7 @@ def test_region_of_attraction_by_simulation_is_larger_than_what_is_certified() -
     from missions.scenario import loading as scenario
 
     flight = scenario.load("paper-case-1")
-    row = _reach(scenario.design(flight), flight, len(DIRECTIONS) - 1)
+    row = _reach(laws.design(flight), flight, len(DIRECTIONS) - 1)
     assert row["settles_up_to"] > 30
 
 

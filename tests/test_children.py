@@ -14,6 +14,13 @@ from missions.cli import main as cli
 from missions.cli.exits import INTERRUPTED
 from missions.flight.processes.child_process import begin
 
+COMPILES = """
+import signal, time
+signal.raise_signal(signal.SIGINT)
+time.sleep(0.1)
+loaded.append("whole")
+"""
+
 
 def test_what_interrupts_the_start_of_a_process_waits_until_it_has_begun() -> None:
     """Also where a thread takes it that does not block it, as a library's may."""
@@ -56,6 +63,39 @@ def test_an_interrupt_is_one_whatever_a_library_makes_of_it(
     assert ended.value.code == INTERRUPTED
     assert capsys.readouterr().err == "cablequad: interrupted\n"
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_an_interrupt_waits_until_compiled_code_is_loaded(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """C calls Python meanwhile: an exception there was lost, or ended the process with a segmentation fault."""
+    loaded: list[str] = []
+
+    def load() -> None:
+        exec(COMPILES, {"__name__": "numba.core.dispatcher", "loaded": loaded})
+        time.sleep(10.0)
+        loaded.append("never interrupted")
+
+    monkeypatch.setattr(cli, "app", load)
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == INTERRUPTED
+    assert loaded == ["whole"]
+    assert capsys.readouterr().err == "cablequad: interrupted\n"
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_a_second_interrupt_does_not_wait() -> None:
+    code = f"""
+from missions.cli import main as cli
+def load():
+    exec({COMPILES + COMPILES!r}, {{"__name__": "llvmlite.binding", "loaded": []}})
+    print("compiled", flush=True)
+cli.app = load
+cli.main()
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (INTERRUPTED, "", "cablequad: interrupted\n")
 
 
 def test_who_works_for_a_process_ends_with_it_however_it_ends() -> None:

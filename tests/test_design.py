@@ -23,6 +23,7 @@ from cablequad.control.design import (
     state_space,
 )
 from cablequad.control.law import LAWS, SAMPLED, Loop
+from cablequad.control.single_vehicle import Goals, fly_each, integrated, quickness
 from cablequad.control.trajectory import Limits, Reference, at, leg
 from cablequad.model.attitude import Airframe, Setpoint, flown
 from cablequad.model.controllability import OUTPUTS, controllable, integrable_outputs
@@ -31,6 +32,7 @@ from cablequad.model.stiffness import stable_substep, stiffest_mode
 from cablequad.model.system import Cable, Payload, Quadrotor, System
 from missions.analysis.replay_control import redecide
 from missions.flight.run import Options, Progress, run
+from missions.scenario import flights, laws
 from missions.scenario import loading as scenarios
 from missions.scenario.mission_setup import contingencies
 from missions.scenario.tables import ControlTable
@@ -49,6 +51,34 @@ def test_continuous_gains_make_the_linear_model_stable() -> None:
     K = np.hstack([design.K_x, design.K_xdot])
     assert np.linalg.eigvals(A).real.max() > -1e-6
     assert np.linalg.eigvals(A - B @ K).real.max() < 0
+
+
+@pytest.mark.parametrize(("bandwidth", "delay"), [(2.0, 5), (4.0, 8), (6.0, 0), (10.2, 2), (12.9, 2), (40.0, 1)])
+def test_a_vehicle_by_itself_comes_to_its_goal_however_late_its_attitude_answers(bandwidth: float, delay: int) -> None:
+    """A heavy one was flown by the gains of a light one, and circled about its goal."""
+    period = 0.02
+    design = sampled_law(PAPER, airframe(4, bandwidth), Weights(), period, delay)
+    n, R = 4, np.tile(np.eye(3), (4, 1, 1))
+    goals = Goals(np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n), np.ones(n))
+    x, v, phi, rate, integral = (np.zeros((n, 3)) for _ in range(5))
+    x[:, 0] = 0.3
+    under_way = [np.zeros((n, 3))] * delay
+    steps, way = 20, []
+    slow = 1.0 / float(quickness(design)[0])
+    for _ in range(round(12.0 * slow / period)):
+        integral = integrated(design, integral, x, goals)
+        A = fly_each(design, x, v, R, integral, goals, R).A / PAPER.m[:, None]
+        under_way = [*under_way, A * [1.0, 1.0, 0.0]]
+        acts = under_way.pop(0)
+        for _ in range(steps):
+            h = period / steps
+            rate = rate + h * (bandwidth**2 * (acts - phi) - 2.0 * 0.9 * bandwidth * rate)
+            phi = phi + h * rate
+            v = v + h * phi
+            x = x + h * v
+        way.append(x[0, 0])
+    assert min(way) > -0.15
+    assert np.abs(way[-round(2.0 * slow / period) :]).max() < 0.01
 
 
 @pytest.mark.parametrize("delay", [0, 1, 3])
@@ -221,8 +251,8 @@ def test_a_row_in_the_table_of_laws_is_flown_rolled_out_and_replayed(
 def test_the_law_of_those_that_are_left_is_that_of_all() -> None:
     base = scenarios.load("ground-to-ground").scenario
     printed = base.model_copy(update={"control": base.control.model_copy(update={"law": "paper"})})
-    flight = scenarios.flight_of(printed, "printed")
-    planned = contingencies(flight, scenarios.design(flight))
+    flight = flights.flight_of(printed, "printed")
+    planned = contingencies(flight, laws.design(flight))
     assert planned.law is LAWS["paper"]
     assert len(planned.designs) > 1
     for design in planned.designs.values():

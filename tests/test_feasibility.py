@@ -14,7 +14,7 @@ from cablequad.model.linear import linearize
 from cablequad.model.stiffness import stiffest_mode
 from missions.scenario import loading as scenarios
 from missions.scenario.feasibility import obstacles, strays
-from missions.scenario.loading import ScenarioError
+from missions.scenario.flights import ScenarioError
 
 CASE_1 = (resources.files("missions") / "scenarios" / "paper-case-1.toml").read_text()
 MISSION = (resources.files("missions") / "scenarios" / "ground-to-ground.toml").read_text()

@@ -8,6 +8,7 @@ from conftest import flown, next_offset
 
 from logs.reading.reader import Run, read
 from missions.scenario import loading as scenario
+from missions.scenario.flights import ScenarioError
 
 FLOWN_ELSEWHERE = {"paper-case-1"}  # by test_fly.py
 
@@ -118,5 +119,5 @@ def test_truth_is_told_as_often_as_asked_and_the_flight_is_the_same(tmp_path: Pa
     np.testing.assert_array_equal(steps["link_direction"][shared], ticks["link_direction"][: shared.sum()])
     bad = tmp_path / "bad.toml"
     bad.write_text(source + "\n[record]\ntruth_rate_hz = 333\n")
-    with pytest.raises(scenario.ScenarioError, match=r"record\.truth_rate_hz: 333 given"):
+    with pytest.raises(ScenarioError, match=r"record\.truth_rate_hz: 333 given"):
         scenario.load(str(bad))

@@ -24,6 +24,7 @@ from cablequad.analysis.rollout import LoopTiming, rollout
 from cablequad.control.trajectory import at
 from logs.reading.reader import read
 from logs.reading.records import entries
+from missions.scenario import laws
 from missions.scenario import loading as scenario
 
 TARGET = np.array([0.44, 0.78, -0.5])
@@ -70,7 +71,7 @@ def test_it_agrees_with_the_offline_rollout_of_the_same_design(case_1: dict) -> 
     """Same rates, same one-tick age, no wire: the payload within 1 cm throughout."""
     flight = scenario.load("paper-case-1")
     samples = rollout(
-        scenario.design(flight), flight.airframe, lambda t: at(flight.trajectory, t), flight.initial,
+        laws.design(flight), flight.airframe, lambda t: at(flight.trajectory, t), flight.initial,
         LoopTiming(0.004, 4, 1), 2500,
     )  # fmt: skip
     offline = np.array([s.state.x0 for s in samples])
@@ -378,7 +379,6 @@ def test_a_run_that_is_killed_with_all_its_processes_keeps_all_but_half_a_second
     assert heard_ms * 1e-3 - kept <= 0.5
 
 
-@pytest.mark.alone
 @pytest.mark.parametrize("after_s", [1.0, 1.8, 2.6])
 def test_ctrl_c_while_it_gets_ready_leaves_no_traceback_of_anybody(after_s: float, tmp_path: Path, offset: int) -> None:
     fly = Command("fly", "--no-replay", "--out", str(tmp_path), "--port-offset", str(offset))

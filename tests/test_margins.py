@@ -10,10 +10,11 @@ from conftest import cablequad
 from cablequad.analysis.margins import largest_loss, mismatched, unstable_from
 from cablequad.control.design import sampled_loop
 from missions.analysis import margins
+from missions.scenario import laws
 from missions.scenario import loading as scenario
 
 ONE = scenario.load("one-vehicle")
-DESIGN = scenario.design(ONE)
+DESIGN = laws.design(ONE)
 PERIOD = ONE.control_us * 1e-6
 
 

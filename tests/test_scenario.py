@@ -9,8 +9,9 @@ from conftest import cablequad
 from cablequad.analysis.rollout import LoopTiming, rollout
 from cablequad.control.trajectory import at
 from cablequad.model import lie
+from missions.scenario import laws
 from missions.scenario import loading as scenario
-from missions.scenario.loading import ScenarioError
+from missions.scenario.flights import ScenarioError
 
 CASE_1 = scenario.text("paper-case-1")
 
@@ -18,7 +19,7 @@ CASE_1 = scenario.text("paper-case-1")
 def test_every_shipped_scenario_loads_and_has_a_controller() -> None:
     for name in scenario.names():
         flight = scenario.load(name)
-        assert scenario.design(flight).K_x.shape[0] == 3 * len(flight.system.m)
+        assert laws.design(flight).K_x.shape[0] == 3 * len(flight.system.m)
         assert flight.scenario.name == name
 
 
@@ -58,7 +59,7 @@ def test_a_wrong_scenario_is_refused_in_one_line_that_names_the_key(
     path = tmp_path / "mine.toml"
     path.write_text(CASE_1.replace(right, wrong, 1))
     with pytest.raises(ScenarioError) as error:
-        scenario.design(scenario.load(str(path)))
+        laws.design(scenario.load(str(path)))
     assert text in str(error.value)
     assert "\n" not in str(error.value)
 
@@ -113,7 +114,7 @@ def test_a_load_that_hangs_tilted_starts_as_it_hangs_and_flies(tmp_path: Path) -
     path = tmp_path / "tilted.toml"
     path.write_text(head + vehicles + tail.replace("attitude_deg = [0.0, 0.0, 0.0]", ""))
     flight = scenario.load(str(path))
-    design = scenario.design(flight)
+    design = laws.design(flight)
     plan = flight.trajectory
     samples = list(rollout(design, flight.airframe, lambda t: at(plan, t), flight.initial, LoopTiming(0.004, 4), 2500))
     assert np.degrees(np.linalg.norm(lie.log(design.hanging.R0))) > 30

@@ -17,10 +17,12 @@ from bridge.mission.members.members import Contingencies
 from bridge.mission.mission import Mission
 from bridge.mission.observation import Observation
 from bridge.mission.phases import FLYING, LOADED, Phase
+from bridge.mission.touch_down import TouchDown
 from cablequad.control.design import Design
 from cablequad.control.law import SAMPLED
+from missions.scenario import laws
 from missions.scenario import loading as scenarios
-from missions.scenario.loading import Flight
+from missions.scenario.flights import Flight
 from missions.scenario.mission_setup import plan_of
 from missions.scenario.script import ScriptError, script_from
 from missions.scenario.script_runner import COMPUTES_S
@@ -69,6 +71,7 @@ class Kinematics:
         self.rest = self.state.x0.copy()
         self.x = self.rest + plan.stands
         self.floor = float(self.x[0, 2])
+        self.sinks = True  # vehicles that land come down
 
     def decide(self) -> None:
         still = np.zeros_like(self.x)
@@ -83,7 +86,8 @@ class Kinematics:
             self.state = self.state._replace(x0=x0)
             self.x = m.geometry.above(self.state, 1.0)
         elif m.phase in FLYING:
-            self.x = np.minimum(m.control.singles.aim, [np.inf, np.inf, self.floor])
+            lowest = self.floor if self.sinks or m.phase is not Phase.LAND else self.floor - 0.5
+            self.x = np.minimum(m.control.singles.aim, [np.inf, np.inf, lowest])
         self.fleet.stands = bool((self.x[:, 2] > self.floor - 0.02).all())
 
     def fly(self) -> Mission:
@@ -103,7 +107,7 @@ class Kinematics:
 def world() -> tuple[Flight, Design]:
     flight = scenarios.load("ground-to-ground")
     flight = flight._replace(control_us=round(PERIOD_S * 1e6))
-    return flight, scenarios.design(flight)
+    return flight, laws.design(flight)
 
 
 def script(*lines: str) -> str:
@@ -123,6 +127,27 @@ def test_the_whole_way_up_and_down_is_flown_without_a_word() -> None:
     assert m.failure is None
     assert m.phase is Phase.DISARM
     assert world.on_the_ground()
+
+
+def test_who_is_told_to_come_down_while_it_lands_lands_first() -> None:
+    world = Kinematics(script(*UP, *DOWN))
+    while world.mission.phase is not Phase.LAND:
+        world.decide()
+    world.mission.abort("enough")
+    assert world.fly().failure == "enough"
+    assert world.on_the_ground()
+
+
+def test_who_does_not_come_down_in_time_is_not_disarmed_in_the_air(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(TouchDown, "stands", lambda *_: False)  # whoever hangs in the air
+    world = Kinematics(script(*UP, *DOWN))
+    world.sinks = False
+    m = world.fly()
+    assert m.failure is not None
+    assert m.failure.startswith("phase land took more than")
+    assert m.phase is Phase.LAND
+    assert [text for kind, _, text in m.events if kind == "abort"][-1].endswith("as they may be in the air")
+    assert not world.fleet.disarmed
 
 
 @pytest.mark.parametrize(

@@ -17,8 +17,9 @@ from missions.analysis.drills import drills
 from missions.flight.options import Options, Progress
 from missions.flight.run import run
 from missions.flight.summary import Summary
+from missions.scenario.flights import Flight
 from missions.scenario.limits import plan_limits
-from missions.scenario.loading import Flight, load
+from missions.scenario.loading import load
 from missions.scenario.mission_setup import guards, plan_of
 from missions.scenario.surroundings import standing_z
 from sitl.firmware.autopilot import NO_RATE, Actuation

@@ -20,12 +20,10 @@ from cablequad.types import Array
 class LoadControl:
     """The memory of the law, and of every vehicle by itself."""
 
-    def __init__(
-        self, law: Controller, design: Design, period_s: float, share_s: float, tell: Callable[[str, str, str], None]
-    ) -> None:
+    def __init__(self, law: Controller, design: Design, share_s: float, tell: Callable[[str, str, str], None]) -> None:
         """`share_s`: for what hangs on a vehicle to be taken or given. `tell`: kind, subject and text of an event."""
         n = len(design.system.m)
-        self.singles = SingleVehicles(n, period_s, share_s)
+        self.singles = SingleVehicles(n, share_s)
         self.track: Trajectory = still([0.0, 0.0, 0.0, 0.0])
         self.last: Sample | None = None
         self._law, self._design = law, design

@@ -51,7 +51,7 @@ class Mission:
         self.fleet: Fleet = fleet
         self.membership = Members(planned)
         self.progress, self.figures = Progress(period_s, plan.scale), Figures()
-        self.control = LoadControl(planned.law, self.design, period_s, plan.scale.share_s, self.tell)
+        self.control = LoadControl(planned.law, self.design, plan.scale.share_s, self.tell)
         self.failure: str | None = None
         self.finished = False
         self.by_itself = False  # the load is set down with every vehicle by itself
@@ -217,16 +217,18 @@ class Mission:
         text = f"phase {phase} took more than {self.limit_s(phase):.3g} s"
         if phase is Phase.PREFLIGHT:
             text += ": " + "; ".join(preflight_faults(self.here, self.geometry, self.plan, self.fleet))
-        if self._aborted or phase in (Phase.SET_DOWN, Phase.RELEASE, Phase.LAND, Phase.DISARM):
-            self.failure = self.failure or text
-            self.tell("abort", "all", text)
-            first, self.progress.overdue = not self.progress.overdue, True
-            self.progress.restart()
-            self.progress.done = not (phase is Phase.LAND and first)  # towards the ground, but not by a fall
-            if phase is Phase.DISARM:
-                self.finished = True
+        if not self._aborted and phase not in (Phase.SET_DOWN, Phase.RELEASE, Phase.LAND, Phase.DISARM):
+            self.abort(text)
             return
-        self.abort(text)
+        stuck = phase is Phase.DISARM or (phase is Phase.LAND and self.progress.overdue)
+        if phase is Phase.LAND and stuck:
+            text += " again; vehicles are left to their own failsafe, as they may be in the air"
+        self.failure = self.failure or text
+        self.tell("abort", "all", text)
+        self.progress.overdue = True
+        self.progress.restart()
+        self.progress.done = phase is not Phase.LAND  # towards the ground, but not by a fall
+        self.finished = self.finished or stuck
 
     # -- what phases and protection do ---------------------------------------------------------------------------------
 

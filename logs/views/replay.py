@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import rerun as rr
+import rerun.blueprint as rrb
 
 from cablequad.types import Array
 from logs.reading.reader import Happening, Run
@@ -33,12 +34,26 @@ def save(run: Run, path: Path, other: Run | None = None) -> None:
 
     Raises LogError where a log holds no motion.
     """
-    out = rr.RecordingStream("cablequad", recording_id=run.path.stem)
-    motion = motion_of(run)
-    out.save(path, default_blueprint=layout(motion, windy="/plant/wind" in run.columns))
+    out, motion, blueprint = _begun(run)
+    out.save(path, default_blueprint=blueprint)
     log(out, run, motion, None if other is None else (other, motion_of(other)))
     out.flush()
     out.disconnect()
+
+
+def show(run: Run, width: int, height: int) -> None:
+    """The replay of `run` as the widget of the notebook's cell that calls it. Raises LogError as `save` does."""
+    import rerun_notebook  # noqa: F401  rerun without it only warns
+
+    out, motion, blueprint = _begun(run)
+    log(out, run, motion)
+    rr.notebook_show(width=width, height=height, blueprint=blueprint, recording=out)
+
+
+def _begun(run: Run) -> tuple[rr.RecordingStream, MotionHistory, rrb.Blueprint]:
+    motion = motion_of(run)
+    out = rr.RecordingStream("cablequad", recording_id=run.path.stem)
+    return out, motion, layout(motion, windy="/plant/wind" in run.columns)
 
 
 def log(

@@ -20,9 +20,9 @@ from cablequad.model.linear import equilibrium
 from cablequad.model.state import State
 from cablequad.model.stiffness import stiffest_mode
 from missions.analysis.batch import spread
-from missions.scenario import loading as scenarios
+from missions.scenario import laws
 from missions.scenario.feasibility import strays
-from missions.scenario.loading import Flight
+from missions.scenario.flights import Flight
 
 SETTLE_S, SETTLED_M, SETTLED_TILT = 15.0, 0.05, 0.02
 BISECTIONS = 7
@@ -55,7 +55,7 @@ def check(flight: Flight, quick: bool, tell: Callable[[str], None] = lambda _: N
     """
     tell("the design")
     system, c = flight.system, flight.scenario.control
-    design = scenarios.design(flight)
+    design = laws.design(flight)
     period = flight.control_us * 1e-6
     hung = equilibrium(system)
     tilt = float(np.linalg.norm(lie.log(hung.R0)))
@@ -86,7 +86,7 @@ def check(flight: Flight, quick: bool, tell: Callable[[str], None] = lambda _: N
             for m in listed
         ],
         "out_of_reach": list(controllable(system).missing),
-        "hidden": list(scenarios.estimator_of(flight).hidden),
+        "hidden": list(laws.estimator_of(flight).hidden),
         "sensing": c.sensing,
         "controllable": all(m.pbh >= WEAK * strongest for m in listed),
         "gains": {
@@ -117,7 +117,7 @@ def check(flight: Flight, quick: bool, tell: Callable[[str], None] = lambda _: N
 
 
 def _paper_law(flight: Flight, weights: Weights) -> Design:
-    loop = scenarios.designed_for(flight, flight.airframe)
+    loop = laws.designed_for(flight, flight.airframe)
     return LAWS["paper"].design(flight.system, loop._replace(weights=weights))
 
 
@@ -129,7 +129,7 @@ def _difference_to_dlqr(design: Design, flight: Flight) -> float | None:
         return None
     import control  # here, as it takes a second
 
-    Q, R = sampled_cost(design.system, flight.airframe, scenarios.weights(flight), loop)
+    Q, R = sampled_cost(design.system, flight.airframe, laws.weights(flight), loop)
     try:
         K = control.dlqr(loop.A, loop.B, Q, R)[0]
     except (np.linalg.LinAlgError, ValueError, control.ControlDimension):  # poles too near to the circle for it
@@ -143,7 +143,7 @@ def _nominal(design: Design, flight: Flight) -> list[Sample]:
     timing = LoopTiming(period, flight.control_us // flight.physics_us, flight.scenario.control.delay_ticks)
     ticks = round(min(10.0, flight.scenario.duration_s) / period)
     plan = partial(at, flight.trajectory)
-    law = scenarios.law_of(flight)
+    law = laws.law_of(flight)
     return list(rollout(design, flight.airframe, plan, flight.initial, timing, ticks, law=law))
 
 
@@ -156,7 +156,7 @@ def _largest_rate(samples: list[Sample], period: float) -> float:
 
 def _certificate(flight: Flight, nominal: dict[str, float], quick: bool) -> dict[str, Any]:
     """Proposition 3 for the paper's law with this scenario's weights, against what the nominal flight needs."""
-    weights = scenarios.weights(flight)
+    weights = laws.weights(flight)
     design = _paper_law(flight, weights)
     rate = nominal["largest_commanded_rate_rad_s"]
     gains = attitude_gains(flight.system, flight.airframe, rate)
@@ -310,7 +310,7 @@ def _settles(design: Design, flight: Flight, start: State) -> bool:
     timing = LoopTiming(period, flight.control_us // flight.physics_us, flight.scenario.control.delay_ticks)
     target = Reference(np.array(flight.scenario.target.position_m), np.zeros(3))
     last: Sample | None = None
-    law, ticks = scenarios.law_of(flight), round(SETTLE_S / period)
+    law, ticks = laws.law_of(flight), round(SETTLE_S / period)
     for last in rollout(design, flight.airframe, lambda _: target, start, timing, ticks, law=law):
         if not np.isfinite(last.e_omega) or last.e_omega > 1e4:
             return False

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 from bridge.mission.scale import USUAL
 from missions.flight.run import Options, Progress, run
 from missions.flight.summary import Summary
-from missions.scenario import loading as scenarios
-from missions.scenario.loading import Flight, ScenarioError
+from missions.scenario import flights
+from missions.scenario.flights import Flight, ScenarioError
 from missions.scenario.mission_setup import scale_of_flight
 from missions.scenario.tables import BREAKING, CutTable, FailureTable, GroundTable, MissionTable
 
@@ -107,7 +107,7 @@ def changed(flight: Flight, changes: dict[str, Any]) -> Flight:
     """The flight with other tables. Raises ScenarioError."""
     s = flight.scenario.model_copy(update=changes)
     try:
-        return scenarios.flight_of(type(s).model_validate_json(s.model_dump_json()), flight.source)
+        return flights.flight_of(type(s).model_validate_json(s.model_dump_json()), flight.source)
     except ValueError as error:
         raise ScenarioError(f"scenario {s.name}: {error}") from None
 

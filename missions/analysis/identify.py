@@ -21,7 +21,7 @@ from logs.reading.reader import LogError, read
 from logs.reading.records import entries
 from logs.schema import cablequad_pb2 as pb
 from missions.analysis.replay_control import Frame, told_by
-from missions.scenario.loading import Flight
+from missions.scenario.flights import Flight
 from sitl.firmware.telemetry import euler
 
 STEP_S = 0.002

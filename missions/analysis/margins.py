@@ -22,8 +22,8 @@ from cablequad.model.state import State
 from cablequad.model.system import System
 from cablequad.types import Array
 from missions.analysis.batch import spread
-from missions.scenario import loading as scenarios
-from missions.scenario.loading import Flight, system_of
+from missions.scenario import laws
+from missions.scenario.flights import Flight, system_of
 
 FLOWN_S, LAST_S = 25.0, 5.0
 HELD_M = 0.05  # from the target at the end
@@ -63,7 +63,7 @@ class Tried(NamedTuple):
 
 def measure(flight: Flight, design: Design | None = None, bisections: int = BISECTIONS) -> dict[str, Any]:
     """Predicted and measured margins of a flight as plain values, ready for JSON; the more `bisections` the finer."""
-    design = design or scenarios.design(flight)
+    design = design or laws.design(flight)
     period_ms = flight.control_us * 1e-3
     rows = spread(partial(_row, design, flight, bisections), range(len(QUANTITIES)))
     return {
@@ -166,7 +166,7 @@ def _flown(design: Design, flight: Flight, which: int, value: float) -> Tried:
     start = hung._replace(R0=design.hanging.R0, x0=target + np.array(KICK_M)).copy()
     timing = LoopTiming(period, flight.control_us // flight.physics_us, delay + extra)
     errors, rates = [], []
-    still, ticks, law = Reference(target, np.zeros(3)), round(FLOWN_S / period), scenarios.law_of(flight)
+    still, ticks, law = Reference(target, np.zeros(3)), round(FLOWN_S / period), laws.law_of(flight)
     for sample in rollout(design, flight.airframe, lambda _: still, start, timing, ticks, real=real, law=law):
         if not np.isfinite(sample.e_omega) or sample.e_omega > 1e4:
             return Tried(value, False, float("inf"))

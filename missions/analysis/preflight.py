@@ -18,8 +18,8 @@ from missions.flight.processes.child_process import worker_pool
 from missions.flight.run import Options, Progress, run
 from missions.flight.summary import Summary
 from missions.flight.terminal import margin_text
-from missions.scenario import loading
-from missions.scenario.loading import Flight, ScenarioError
+from missions.scenario import laws
+from missions.scenario.flights import Flight, ScenarioError
 from missions.scenario.mission_setup import contingencies, scale_of_flight
 
 COARSE = 4  # bisections of a margin: whether it is enough is asked, not how large it is to a per cent
@@ -66,7 +66,7 @@ def preflight(flight: Flight, options: Options, tell: Callable[[str], None]) -> 
                 pair = [pool.submit(flown, ground, drill, protect, options) for protect in (True, False)]
                 flown_drills.append((drill, pair))
             yield from _design(lines)
-            yield from _one_lost(ground)
+            yield from one_lost(ground)
             tell("margins, and the flights meanwhile")
             yield from _margins(measure(in_air, bisections=COARSE))
             tell("the flight itself and the drills")
@@ -122,12 +122,12 @@ def _design(c: dict[str, Any]) -> Iterator[Line]:
     yield Line("design", "Proposition 3", "note", str(certified) or "see: cablequad check")
 
 
-def _one_lost(flight: Flight) -> Iterator[Line]:
+def one_lost(flight: Flight) -> Iterator[Line]:
     """What is left, at rest, of a set-up that loses the vehicle that it can spare least: no law makes more of it."""
     assert flight.scenario.mission is not None
     limit, n = flight.scenario.mission.guards.load_tilt_deg, len(flight.system.m)
     left: list[tuple[float, float, int]] = []  # deg, share of thrust, vehicle
-    for lost, d in contingencies(flight, loading.design(flight)).designs.items():
+    for lost, d in contingencies(flight, laws.design(flight)).designs.items():
         for k in lost:
             share = np.linalg.norm(d.u_star, axis=1) / np.delete(flight.airframe.max_thrust, k)
             left.append((math.degrees(math.acos(min(1.0, float(d.hanging.R0[2, 2])))), float(share.max()), k + 1))

@@ -26,8 +26,9 @@ from logs.reading.records import entries
 from logs.schema import cablequad_pb2 as pb
 from logs.writing import encode
 from missions.flight.setup import loop_of, set_up
+from missions.scenario import laws
 from missions.scenario import loading as scenarios
-from missions.scenario.loading import Flight, ScenarioError
+from missions.scenario.flights import Flight, ScenarioError
 from missions.scenario.script import OUTSIDE
 
 SYSTEMS = 199  # ids that vehicles may have
@@ -68,7 +69,7 @@ def redecide(path: Path) -> Redecided:
     """Make every decision of a log again. Raises LogError where the log holds none, or nothing to make them from."""
     try:
         flight = flight_of(path)
-        design = scenarios.design(flight)
+        design = laws.design(flight)
     except ScenarioError as error:
         raise LogError(f"log {path}: its scenario does not load: {error}") from None
     follow = _follow if flight.scenario.mission is None else _follow_mission
@@ -81,7 +82,7 @@ def redecide(path: Path) -> Redecided:
 def _follow(path: Path, flight: Flight, design: Design) -> list[bytes]:
     """The decisions of a plan; when it flies and when it was released is taken from the log."""
     observer = StateAssembler(loop_of(flight))
-    law = scenarios.law_of(flight)
+    law = laws.law_of(flight)
     memory, after = law.first(design), []
     for told in told_by(path, len(flight.system.m)):
         match told:

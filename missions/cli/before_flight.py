@@ -38,7 +38,7 @@ def check(
     from missions.analysis.check_page import show, summary
     from missions.analysis.drills import in_the_air
     from missions.flight.terminal import telling
-    from missions.scenario.loading import ScenarioError
+    from missions.scenario.flights import ScenarioError
 
     console = Console(width=None if sys.stdout.isatty() else 120, highlight=False, quiet=as_json)
     try:
@@ -72,7 +72,7 @@ def margins(
     from missions.analysis.drills import in_the_air
     from missions.analysis.margins import measure, plot
     from missions.flight.terminal import margins_table, telling
-    from missions.scenario.loading import ScenarioError
+    from missions.scenario.flights import ScenarioError
 
     try:
         flight = load(scenario, None, None)
@@ -108,7 +108,7 @@ def preflight(
     from missions.analysis import preflight as page
     from missions.flight.run import Options
     from missions.flight.terminal import telling
-    from missions.scenario.loading import ScenarioError
+    from missions.scenario.flights import ScenarioError
 
     del port_offset
     console = Console(width=None if sys.stdout.isatty() else 120, highlight=False, quiet=as_json)
@@ -169,7 +169,7 @@ def identify(
     from missions.analysis.identify import identified, with_responses
     from missions.flight.run import Options, run
     from missions.flight.terminal import progress
-    from missions.scenario.loading import ScenarioError
+    from missions.scenario.flights import ScenarioError
 
     console = Console(width=None if sys.stdout.isatty() else 120, highlight=False, quiet=as_json)
     who = backend(backend_name, firmware, launch)

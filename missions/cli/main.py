@@ -3,10 +3,8 @@
 import io
 import json
 import math
-import signal
 import sys
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -14,6 +12,7 @@ import typer
 from logs.reading.extras import missing
 from missions.cli.before_flight import check, identify, margins, preflight
 from missions.cli.exits import FAILED, INTERRUPTED, UNTESTED, USAGE, fail, untested, usage
+from missions.cli.interrupts import interruptible, say_interrupted
 from missions.cli.log_commands import log_app, report
 from missions.cli.options import (
     ArmOption,
@@ -38,7 +37,7 @@ from missions.cli.streams import unbroken
 
 if TYPE_CHECKING:
     from missions.flight.summary import Summary
-    from missions.scenario.loading import Flight
+    from missions.scenario.flights import Flight
 
 app = typer.Typer(
     name="cablequad",
@@ -127,7 +126,7 @@ def fly(
     from bridge.wire.signing_keys import KeyFileError, read_key
     from missions.flight.run import Options, run
     from missions.flight.terminal import progress
-    from missions.scenario.loading import ScenarioError
+    from missions.scenario.flights import ScenarioError
 
     who = backend(backend_name, firmware, launch)
     pace = _speed(speed or ("max" if who == "builtin" else "1"))
@@ -208,7 +207,7 @@ def sitl(
     from bridge.wire.signing_keys import KeyFileError, read_key
     from missions.flight.processes.simulate import Serving
     from missions.flight.serve import serve
-    from missions.scenario.loading import ScenarioError
+    from missions.scenario.flights import ScenarioError
     from sitl.external.seats import AutopilotError
     from sitl.plant import PhysicsError
 
@@ -288,7 +287,8 @@ def scenarios(context: typer.Context) -> None:
 @scenarios_app.command("show")
 def show(name: ScenarioArgument) -> None:
     """Print a scenario's file."""
-    from missions.scenario.loading import ScenarioError, text
+    from missions.scenario.flights import ScenarioError
+    from missions.scenario.loading import text
 
     try:
         typer.echo(text(name), nl=False)
@@ -296,40 +296,25 @@ def show(name: ScenarioArgument) -> None:
         usage(str(error))
 
 
-ENDING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
-
-
 def main() -> None:
     """Entry point of the `cablequad` command."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a path may have letters that a terminal has not
             stream.reconfigure(errors="backslashreplace")
-    interrupted: list[int] = []
-
-    def interrupt(number: int, _: FrameType | None) -> None:
-        interrupted.append(number)
-        raise KeyboardInterrupt
-
-    before = {number: signal.getsignal(number) for number in ENDING}
-    for number, usual in before.items():
-        if usual in (signal.default_int_handler, signal.SIG_DFL):  # whoever starts us may have us ignore it
-            signal.signal(number, interrupt)
-    unbroken()
-    try:
-        app()
-    except KeyboardInterrupt:
-        pass
-    except Exception as error:
-        if not interrupted:  # else a library that it met has made an error of its own of it
-            said = missing(error) if isinstance(error, ImportError) else None
-            if said is None:
-                raise
-            print(f"cablequad: {said}", file=sys.stderr)
-            sys.exit(USAGE)
-    finally:
-        for number, usual in before.items():
-            signal.signal(number, usual)
-    print("cablequad: interrupted", file=sys.stderr)
+    with interruptible() as interrupted:
+        unbroken()
+        try:
+            app()
+        except KeyboardInterrupt:
+            pass
+        except Exception as error:
+            if not interrupted:  # else a library that it met has made an error of its own of it
+                said = missing(error) if isinstance(error, ImportError) else None
+                if said is None:
+                    raise
+                print(f"cablequad: {said}", file=sys.stderr)
+                sys.exit(USAGE)
+    say_interrupted()
     sys.exit(INTERRUPTED)
 
 

@@ -10,7 +10,7 @@ from missions.cli.exits import fail, usage
 if TYPE_CHECKING:
     from bridge.wire.ports import Endpoint
     from missions.flight.processes.simulate import Backend
-    from missions.scenario.loading import Flight
+    from missions.scenario.flights import Flight
 
 FreePortOffset = Annotated[
     int | None,

@@ -19,7 +19,7 @@ from bridge.mission.phases import Phase
 from missions.flight.options import Options, Progress
 from missions.flight.run import run
 from missions.flight.summary import Summary
-from missions.scenario.loading import Flight, ScenarioError
+from missions.scenario.flights import Flight, ScenarioError
 from missions.scenario.script import OUTSIDE, FleetOf, ended_in_order
 from missions.scenario.script_runner import ScriptStopped
 

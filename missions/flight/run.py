@@ -29,8 +29,8 @@ from missions.flight.recording.log_process import Recording
 from missions.flight.setup import FlightSetup, set_up
 from missions.flight.summary import Asked, Known, Summary, Track, summarize
 from missions.flight.warm_up import predict_once, warm_up
-from missions.scenario import loading as scenarios
-from missions.scenario.loading import Flight
+from missions.scenario import flights, laws
+from missions.scenario.flights import Flight
 from missions.scenario.mission_setup import reported_figures
 from missions.scenario.tables import BREAKING
 from sitl.external.seats import BOOT_S
@@ -128,7 +128,7 @@ def _run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary,
 
 def _prepare(flight: Flight, options: Options, p: Participants, progress: Progress) -> FlightSetup:
     """What flies, and its log, while the others are on their way; before the vehicles' clock runs nothing compiles."""
-    design = scenarios.design(flight)
+    design = laws.design(flight)
     who = "connected" if options.connect else options.backend
     beginning = header_of(flight, design, options.out, p.lockstep, bool(options.connect), who)
     p.log.open(beginning)
@@ -205,7 +205,7 @@ def _expected(flight: Flight, options: Options) -> tuple[Mapping[str, float], ..
     n = len(flight.system.m)
     if options.backend != "builtin":
         return tuple(started_with(flight, options.backend, i) for i in range(n))
-    return tuple(scenarios.parameters_of(flight.scenario, i) for i in range(n)) if options.connect else ()
+    return tuple(flights.parameters_of(flight.scenario, i) for i in range(n)) if options.connect else ()
 
 
 def _track(flight: Flight) -> Track:

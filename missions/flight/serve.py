@@ -13,7 +13,7 @@ from bridge.wire.ports import vehicle_ports
 from missions.flight.processes.launch import Autopilots, launches, start_lines
 from missions.flight.processes.simulate import Serving, kinds, server_of, settings
 from missions.flight.terminal import telling
-from missions.scenario.loading import Flight
+from missions.scenario.flights import Flight
 from sitl.addresses import places, tracker_endpoints
 from sitl.external.ardupilot import ARDUPILOT_PORT
 from sitl.external.px4 import PX4_PORT

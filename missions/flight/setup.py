@@ -9,8 +9,8 @@ from bridge.loop.state_assembly import LoopModel
 from bridge.mission.mission import Mission, Script
 from cablequad.control.design import Design
 from cablequad.control.trajectory import at
-from missions.scenario import loading as scenarios
-from missions.scenario.loading import Flight
+from missions.scenario import laws
+from missions.scenario.flights import Flight
 from missions.scenario.mission_setup import mission_of, script_of
 
 
@@ -41,7 +41,7 @@ def set_up(
     fleet = Fleet(flight.airframe.max_thrust.tolist(), period_s, options)
     if not grounded:
         plan = Plan(lambda t: at(flight.trajectory, t), s.duration_s, flight.trajectory.duration)
-        return FlightSetup(fleet, PlanDecider(plan, fleet, loop, scenarios.law_of(flight), design), loop, None)
+        return FlightSetup(fleet, PlanDecider(plan, fleet, loop, laws.law_of(flight), design), loop, None)
     mission = mission_of(flight, fleet, design, script or script_of(flight, waits))
     return FlightSetup(fleet, MissionDecider(mission, loop, design), loop, mission)
 
@@ -52,5 +52,5 @@ def loop_of(flight: Flight) -> LoopModel:
     period_ms = flight.control_us // 1000
     return LoopModel(
         flight.system, flight.airframe, period_ms, c.delay_ticks * period_ms, flight.physics_us * 1e-6,
-        scenarios.filter(flight), c.sensing, c.attitude_rate,
+        laws.filter(flight), c.sensing, c.attitude_rate,
     )  # fmt: skip

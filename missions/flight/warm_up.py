@@ -14,14 +14,14 @@ from cablequad.control.trajectory import at
 from cablequad.model import lie
 from cablequad.model.attitude import Setpoint, flown
 from cablequad.model.state import measured, positions
-from missions.scenario import loading as scenarios
-from missions.scenario.loading import Flight
+from missions.scenario import laws
+from missions.scenario.flights import Flight
 
 
 def warm_up(design: Design, flight: Flight) -> None:
     """Compile what the loop calls before a clock runs: one decision and the messages it takes."""
     here = at(flight.trajectory, 0.0)
-    law = scenarios.law_of(flight)
+    law = laws.law_of(flight)
     _, sample = law.step(design, law.first(design), Measurement(0.0, flight.initial), here)
     still = sample.state
     reread(encode_message(PayloadState(0, still.x0, still.v0, still.R0, still.Omega0)))
@@ -29,7 +29,7 @@ def warm_up(design: Design, flight: Flight) -> None:
     if flight.scenario.mission is not None:
         n = len(flight.system.m)
         goals = Goals(np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n), np.ones(n))
-        integrated(np.zeros((n, 3)), goals.x, goals, 1.0)
+        integrated(design, np.zeros((n, 3)), goals.x, goals)
         fly_each(design, goals.x, goals.v, flight.initial.R, goals.a, goals, flight.initial.R)
     lie.normalize(flight.initial.q.copy())
     n, L = flight.system.length.shape
@@ -38,7 +38,7 @@ def warm_up(design: Design, flight: Flight) -> None:
     setpoints.tell(0, sample.R_c, [0.5] * len(setpoints))
     setpoints.framed(bytes(len(setpoints)), bytes(len(setpoints)), 1, 0)
     positions(flight.system, flight.initial)
-    filter = scenarios.filter(flight)
+    filter = laws.filter(flight)
     if filter is not None:
         belief = Belief(flight.initial.copy(), np.zeros((len(flight.system.m) + 1, 3)))
         level = Setpoint.attitude(flight.initial.R, np.zeros(len(flight.system.m)))

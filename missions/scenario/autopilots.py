@@ -10,7 +10,7 @@ from cablequad.model.earth import Home, density_ratio
 from cablequad.model.linear import EquilibriumError, equilibrium, equilibrium_forces
 from cablequad.model.system import System
 from cablequad.types import Array
-from missions.scenario.loading import Flight, flight_of, known_delay_ticks
+from missions.scenario.flights import Flight, flight_of, known_delay_ticks
 from missions.scenario.tables import Scenario
 from sitl.firmware.personas import PERSONAS
 

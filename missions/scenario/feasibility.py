@@ -18,8 +18,8 @@ from cablequad.model.state import State, positions
 from cablequad.model.stiffness import LEAST_STEP_US
 from cablequad.model.system import System
 from cablequad.types import Array
+from missions.scenario.flights import Flight
 from missions.scenario.limits import plan_limits
-from missions.scenario.loading import Flight
 from missions.scenario.surroundings import airborne, standing_places
 from missions.scenario.tables import PlanTable, Scenario
 from sitl.firmware.personas import PERSONAS

@@ -17,9 +17,9 @@ from cablequad.control.trajectory import Trajectory
 from cablequad.model.attitude import Airframe
 from cablequad.model.linear import EquilibriumError, equilibrium
 from cablequad.model.system import without
-from missions.scenario import loading as scenarios
+from missions.scenario import laws, routes
+from missions.scenario.flights import Flight
 from missions.scenario.limits import plan_limits
-from missions.scenario.loading import Flight
 from missions.scenario.metrics import Grounded, Standing
 from missions.scenario.script import script_from
 from missions.scenario.surroundings import standing_places, standing_z
@@ -75,10 +75,10 @@ def _hangs(flight: Flight) -> np.ndarray:
 
 def contingencies(flight: Flight, design: Design) -> Contingencies:
     """Designs and filters by the vehicles lost, at most one; who cannot be spared is not among them."""
-    blur = scenarios.filter(flight)
+    blur = laws.filter(flight)
     designs: dict[frozenset[int], Design] = {frozenset(): design}
     filters: dict[frozenset[int], Filter] = {} if blur is None else {frozenset(): blur}
-    whole, s, law = flight.system, flight.scenario, scenarios.law_of(flight)
+    whole, s, law = flight.system, flight.scenario, laws.law_of(flight)
     n = len(whole.m)
     if n == 1 or s.mission is None or not s.mission.protect:
         return Contingencies(law, designs, filters)
@@ -88,10 +88,8 @@ def contingencies(flight: Flight, design: Design) -> Contingencies:
         system = without(whole, [i])
         air = Airframe(*(np.ascontiguousarray(field[rest]) for field in flight.airframe))
         try:
-            spared = law.design(system, scenarios.designed_for(flight, air))
-            seen = (
-                estimator(system, air, period, s.control.sensing, scenarios.noise(flight)) if blur is not None else None
-            )
+            spared = law.design(system, laws.designed_for(flight, air))
+            seen = estimator(system, air, period, s.control.sensing, laws.noise(flight)) if blur is not None else None
         except (DesignError, EquilibriumError, np.linalg.LinAlgError):
             continue
         designs[frozenset({i})] = spared
@@ -122,7 +120,7 @@ def plan_of(flight: Flight) -> MissionPlan:
     lifted = rest - m.lift_m
 
     def route(start: list[float], end: list[float]) -> Trajectory:
-        return scenarios.route(s, start, end)
+        return routes.route(s, start, end)
 
     target = [*s.target.position_m[:2], lifted, math.radians(s.target.yaw_deg)]
     limits = {phase: m.limits_s[phase.value] for phase in Phase if phase.value in m.limits_s}

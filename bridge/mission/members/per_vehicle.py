@@ -46,11 +46,10 @@ def _room(things: list[Array], spot: Array) -> float:
 class SingleVehicles:
     """The routes, integrals and shares of n vehicles."""
 
-    def __init__(self, n: int, period_s: float, share_s: float) -> None:
+    def __init__(self, n: int, share_s: float) -> None:
         """`share_s`: for what hangs on a vehicle to be taken or given."""
         self._share_s = share_s
         self.aim = np.zeros((n, 3))  # m: where they were to be last
-        self._period = period_s
         self._routes: list[Trajectory] = []
         self._integral = np.zeros((n, 3))
         self._before = self._after = np.zeros(n)
@@ -103,5 +102,5 @@ class SingleVehicles:
     def fly(self, design: Design, x: Array, v: Array, R: Array, goals: Goals, R_before: Array) -> Flown:
         """What is commanded of vehicles at x, v (n, 3), R (n, 3, 3)."""
         self.aim = goals.x
-        self._integral = integrated(self._integral, x, goals, self._period)
+        self._integral = integrated(design, self._integral, x, goals)
         return fly_each(design, x, v, R, self._integral, goals, R_before)

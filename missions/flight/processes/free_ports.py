@@ -3,7 +3,7 @@
 import socket
 
 from bridge.wire.ports import TRACKER_PORTS, Endpoint, LinkError, bind, vehicle_ports
-from missions.scenario.loading import Flight
+from missions.scenario.flights import Flight
 from sitl.addresses import places, tracker_endpoints
 from sitl.settings import HOST
 

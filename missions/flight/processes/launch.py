@@ -12,7 +12,7 @@ from typing import NamedTuple
 from bridge.wire.ports import vehicle_ports
 from cablequad.model.earth import Home
 from missions.flight.processes.simulate import Backend, joint_steps, kinds
-from missions.scenario.loading import Flight, ScenarioError, parameters_of
+from missions.scenario.flights import Flight, ScenarioError, parameters_of
 from sitl.external.ardupilot import MOTORS
 
 ARM_M = 0.17  # of rotors that nothing is said of

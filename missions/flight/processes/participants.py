@@ -19,7 +19,7 @@ from missions.flight.processes.launch import Autopilots, Launch, start_lines
 from missions.flight.processes.live_viewer import Show
 from missions.flight.processes.simulate import Serving, Simulator, pin, settings
 from missions.flight.recording.log_process import LogProcess
-from missions.scenario.loading import Flight
+from missions.scenario.flights import Flight
 from sitl.settings import HOST
 
 SWITCH_S = 0.0005  # the writer thread gives the interpreter back to the control loop this often

@@ -19,8 +19,8 @@ from cablequad.model.earth import Home
 from cablequad.model.noise import Biases
 from missions.flight.processes.child_process import begin, leave_to_parent
 from missions.flight.recording.ipc import PortsOpen, SimulatorFailure, Status, put
-from missions.scenario import loading as scenarios
-from missions.scenario.loading import Flight, ScenarioError
+from missions.scenario import flights, laws
+from missions.scenario.flights import Flight, ScenarioError
 from missions.scenario.tables import BarometerTable, FailureTable, GpsTable, ImuTable, MagnetometerTable, SensorsTable
 from sitl.batteries import Battery
 from sitl.external.joint import JointServer, Steps, steps
@@ -72,8 +72,8 @@ def settings(flight: Flight, serving: Serving) -> Settings:
         tick_us=flight.tick_us,
         truth_us=flight.truth_us,
         control_us=flight.control_us,
-        delay_us=scenarios.delays_us(flight),
-        phase_us=scenarios.phases_us(flight),
+        delay_us=flights.delays_us(flight),
+        phase_us=flights.phases_us(flight),
         lockstep=serving.lockstep,
         await_controller=serving.await_controller,
         speed=serving.speed,
@@ -83,7 +83,7 @@ def settings(flight: Flight, serving: Serving) -> Settings:
         host=serving.host,
         home=Home(epoch_s=s.epoch_s),
         firmware=flight.firmware,
-        parameters=tuple(scenarios.parameters_of(s, i) for i in range(len(s.vehicles))),
+        parameters=tuple(flights.parameters_of(s, i) for i in range(len(s.vehicles))),
         density_ratio=s.vehicle.air_density_ratio,
         ready_us=tuple(None if t is None else round(t * 1e6) for t in ready),
         untethered=serving.untethered,
@@ -95,7 +95,7 @@ def settings(flight: Flight, serving: Serving) -> Settings:
         thrust_scale=flight.world.thrust_scale,
         around=flight.world.around,
         weather=flight.world.weather,
-        noise=scenarios.noise(flight),
+        noise=laws.noise(flight),
         biases=_biases(s.sensors),
         grades=_grades(s.sensors),
         batteries=() if battery is None else (Battery(battery.endurance_s, battery.sag),) * len(s.vehicles),
@@ -210,7 +210,7 @@ def _child(values: Settings, status: Connection, truth: Connection) -> None:
     try:
         server = server_of(values, sink)
     except (LinkError, ValueError) as error:
-        status.send(SimulatorFailure(str(error), isinstance(error, LinkError)))
+        _tell(status, SimulatorFailure(str(error), isinstance(error, LinkError)))
         return
     try:
         few_collections()
@@ -224,17 +224,22 @@ def _child(values: Settings, status: Connection, truth: Connection) -> None:
         report = server.run(_ends(stopped, parent))
         status.send(report)
     except PhysicsError as error:
-        status.send(SimulatorFailure(f"physics: {error} (t = {server.now_us * 1e-6:.2f} s of the vehicles' clock)"))
+        _tell(status, SimulatorFailure(f"physics: {error} (t = {server.now_us * 1e-6:.2f} s of the vehicles' clock)"))
     except AutopilotError as error:
-        status.send(SimulatorFailure(str(error), error.untested))
-    except (BrokenPipeError, EOFError):
+        _tell(status, SimulatorFailure(str(error), error.untested))
+    except (ConnectionError, EOFError):
         return
     finally:
         server.close()
-        with contextlib.suppress(BrokenPipeError):
+        with contextlib.suppress(ConnectionError):
             put(truth, waiting)
         truth.close()
         status.close()
+
+
+def _tell(status: Connection, what: Status) -> None:
+    with contextlib.suppress(ConnectionError):  # nobody is there any more
+        status.send(what)
 
 
 class Simulator:

@@ -15,7 +15,7 @@ from cablequad.model import lie
 from logs.writing.encode import SCHEMA_VERSION, Model
 from logs.writing.recorder import Attachment, RecorderError
 from missions.flight.recording.log_process import LogHeader
-from missions.scenario.loading import Flight
+from missions.scenario.flights import Flight
 from missions.scenario.mission_setup import guards, standing
 
 
