@@ -4,6 +4,8 @@ import os
 import sys
 from pathlib import Path
 
+from cablequad._threads import one_thread
+
 
 def installed_first() -> None:
     """The current folder, and what PYTHONPATH adds to `sys.path`, come after what is installed.
@@ -21,6 +23,7 @@ def installed_first() -> None:
 def main() -> None:
     """Entry point."""
     installed_first()
+    one_thread()
     from missions.cli.main import main as command
 
     command()

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
+import llvmlite.binding
 import numba
 from numba.core import config as _config
 
@@ -35,6 +36,28 @@ def _cache_folder() -> str:
 
 
 _CACHE_FOLDER = _cache_folder()
+
+
+def all_kept() -> bool:
+    """Whether everything has been compiled; also where nothing can be kept, or nothing is compiled."""
+    return _MARK is None or _MARK.exists()
+
+
+def mark_all_kept() -> None:
+    """From now on `all_kept`, for these sources, this numba and this kind of processor."""
+    if _MARK is not None:
+        _MARK.parent.mkdir(exist_ok=True)
+        _MARK.touch()
+
+
+def _mark() -> Path | None:
+    if not _CACHE_FOLDER or config.DISABLE_JIT:
+        return None
+    kind = f"{numba.__version__}-{llvmlite.binding.get_host_cpu_name()}"  # numba keeps apart what they compile as well
+    return Path(_CACHE_FOLDER) / "all" / kind
+
+
+_MARK = _mark()
 
 
 def jit(function: F) -> F:

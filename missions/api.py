@@ -17,6 +17,7 @@ from logs.reading.extras import extra
 from logs.reading.reader import Run
 from logs.reading.reader import read as _read
 from logs.reading.shapes import Arrays, Topic, topics
+from missions.flight import compiled
 from missions.flight.live_script import Flying
 from missions.flight.options import Options, Progress
 from missions.flight.run import run
@@ -200,6 +201,7 @@ def read(path: str | Path) -> Log:
 
 
 def _flyable(flight: Flight | str) -> Flight:
+    compiled.ensure()
     f = _flight(flight)
     if found := obstacles(f):
         raise flights.ScenarioError(f"{f.scenario.name}: cannot fly: {'; '.join(found)}")

@@ -16,12 +16,17 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pytest
+import scipy.linalg  # noqa: F401  it brings a BLAS of its own
 from hypothesis import HealthCheck, settings
+from threadpoolctl import threadpool_limits
 
+from cablequad._threads import one_thread
 from cablequad.model import lie
 from cablequad.model.state import State
 from cablequad.model.system import Cable, Payload, Quadrotor, System
 
+threadpool_limits(1, "blas")
+one_thread()  # what starts here
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # hundreds of processes start here: what one compiles, all may load
 
 settings.register_profile("default", deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)

@@ -1,5 +1,6 @@
 """Ctrl-C before anything flies: while processes start, and while libraries load."""
 
+import os
 import signal
 import subprocess
 import sys
@@ -111,6 +112,31 @@ def test_who_works_for_a_process_ends_with_it_however_it_ends() -> None:
             assert time.monotonic() < end
             time.sleep(0.1)
     parent.kill()
+    _, left = psutil.wait_procs(working, timeout=30)
+    assert not left
+
+
+@pytest.mark.parametrize("after_s", [0.5, 1.2, 2.0, 4.0])
+def test_ctrl_c_ends_who_works_for_a_command_at_once_and_without_a_word(after_s: float) -> None:
+    """A first start compiled on for minutes."""
+    code = """
+import time
+from missions.analysis.batch import spread
+from missions.cli import main as cli
+print("begun", flush=True)
+cli.app = lambda: spread(time.sleep, [600.0, 600.0], 2)
+cli.main()
+"""
+    command = subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    assert command.stdout is not None
+    command.stdout.readline()
+    time.sleep(after_s)
+    working = psutil.Process(command.pid).children(recursive=True)
+    os.killpg(command.pid, signal.SIGINT)
+    _, err = command.communicate(timeout=30)
+    assert (command.returncode, err) == (INTERRUPTED, "cablequad: interrupted\n")
     _, left = psutil.wait_procs(working, timeout=30)
     assert not left
 

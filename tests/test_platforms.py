@@ -3,6 +3,7 @@
 import json
 import os
 import subprocess
+import sys
 from pathlib import Path
 
 from conftest import COMMAND, next_offset
@@ -95,3 +96,24 @@ def test_a_command_whose_extra_is_missing_says_which(tmp_path: Path) -> None:
     )
     code, _, err = without(tmp_path, PARQUET, "log", "export", log, "--format", "parquet", "--out", str(tmp_path))
     assert (code, err) == (2, "cablequad: pyarrow is not installed; it comes with: pip install 'cablequad[parquet]'\n")
+
+
+FLIES = """
+import sys
+import cablequad as cq
+print(cq.fly("paper-case-1-50hz", out=sys.argv[1]).log_path)
+"""
+
+
+def test_a_log_does_not_depend_on_how_many_processors_there_are(tmp_path: Path) -> None:
+    """Linear algebra in two threads adds up in another order: gains, and with them all, differed in the last bits."""
+    logs = []
+    for threads in ("1", "2"):
+        env = {**os.environ, "OPENBLAS_NUM_THREADS": threads}
+        done = subprocess.run(
+            [sys.executable, "-c", FLIES, str(tmp_path / threads)], env=env, capture_output=True, text=True, timeout=200,
+            check=True,
+        )  # fmt: skip
+        logs.append([(e.topic, e.log_time, e.data) for e in entries(Path(done.stdout.strip())) if e.topic != "/perf"])
+    assert len(logs[0]) > 1000
+    assert logs[0] == logs[1]

@@ -60,27 +60,23 @@ def preflight(flight: Flight, options: Options, tell: Callable[[str], None]) -> 
     near_m = scale_of_flight(flight).near_m
     lines = check(in_air, True, tell)  # before anything flies: what cannot be designed is not flown
     with worker_pool(os.cpu_count() or 1) as pool:
-        try:
-            nominal = pool.submit(_nominal, flight, options)
-            for drill in drills(flight):
-                pair = [pool.submit(flown, ground, drill, protect, options) for protect in (True, False)]
-                flown_drills.append((drill, pair))
-            yield from _design(lines)
-            yield from one_lost(ground)
-            tell("margins, and the flights meanwhile")
-            yield from _margins(measure(in_air, bisections=COARSE))
-            tell("the flight itself and the drills")
-            summary = _tested(nominal.result())
-            if summary.log is None:
-                raise ScenarioError(summary.reason)
-            yield Line("flight", flight.scenario.name, "go" if summary.passed else "no-go", _told(summary._asdict()))
-            for drill, (protected, bare) in flown_drills:
-                tell(f"drill: {drill.name}, with protection and without")
-                result = compared(drill, _tested(protected.result()), _tested(bare.result()), near_m)
-                yield Line("drill", f"{drill.name}: {drill.what}", result.verdict, result.why)
-        except BaseException:
-            pool.shutdown(wait=True, cancel_futures=True)  # nobody flies on for a page that is not finished
-            raise
+        nominal = pool.submit(_nominal, flight, options)
+        for drill in drills(flight):
+            pair = [pool.submit(flown, ground, drill, protect, options) for protect in (True, False)]
+            flown_drills.append((drill, pair))
+        yield from _design(lines)
+        yield from one_lost(ground)
+        tell("margins, and the flights meanwhile")
+        yield from _margins(measure(in_air, bisections=COARSE))
+        tell("the flight itself and the drills")
+        summary = _tested(nominal.result())
+        if summary.log is None:
+            raise ScenarioError(summary.reason)
+        yield Line("flight", flight.scenario.name, "go" if summary.passed else "no-go", _told(summary._asdict()))
+        for drill, (protected, bare) in flown_drills:
+            tell(f"drill: {drill.name}, with protection and without")
+            result = compared(drill, _tested(protected.result()), _tested(bare.result()), near_m)
+            yield Line("drill", f"{drill.name}: {drill.what}", result.verdict, result.why)
 
 
 def _tested(s: Summary) -> Summary:

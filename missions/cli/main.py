@@ -258,6 +258,17 @@ def tell(
     print(f"{word}: obeyed")
 
 
+@app.command("warm-up")
+def warm_up() -> None:
+    """Compile the model, the controller and the log's writer once, on all cores; the first command does so as well."""
+    from missions.flight.compiled import compile_all
+    from missions.flight.terminal import telling
+
+    with telling("warm-up") as tell:
+        seconds = compile_all(tell)
+    print(f"compiled in {seconds:.0f} s")
+
+
 @app.command("signing-key")
 def signing_key(file: Annotated[Path, typer.Argument(help="The new file; only you may read it.")]) -> None:
     """Make a key for MAVLink 2 signing."""

@@ -95,12 +95,23 @@ def load(
         usage(f"--firmware: {firmware!r} given; write {', '.join(get_args(Firmware))} or auto")
     external = backend != "builtin"
     flight = read(scenario, duration, seed, None if firmware == "auto" else firmware, script, external or connected)
+    compiled()
     if not external:
         return flight
     from missions.flight.processes.simulate import kinds
     from missions.scenario.autopilots import behind
 
     return behind(flight, kinds(flight, backend))
+
+
+def compiled() -> None:
+    """Before the first command that needs it: all that is compiled."""
+    from cablequad._jit import all_kept
+
+    if not all_kept():
+        from missions.flight.compiled import ensure
+
+        ensure()
 
 
 def backend(name: str, firmware: str | None, launch: Path | None) -> "Backend":

@@ -17,6 +17,7 @@ from bridge.mission.mission import Mission
 from bridge.mission.phases import CARRIED, FLY, Phase
 from bridge.wire.link import LinkError, Received
 from bridge.wire.link_faults import Channel, FaultCounts, generator
+from cablequad._threads import in_one_thread
 from cablequad.control.control_step import Sample
 from cablequad.model.controllability import controllable
 from logs.writing.recorder import RecorderError
@@ -84,6 +85,7 @@ class _DecisionSink:
         self.ended = self.ended or kind == "end"
 
 
+@in_one_thread
 def run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary, bool]:
     """Fly; the summary, and whether the user interrupted. What goes wrong is the summary's reason, no exception."""
     if options.backend != "builtin":
@@ -103,7 +105,7 @@ def run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary, 
 
 def _run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary, bool]:
     with interpreter_restored(), closing(Participants(flight, options)) as p:
-        progress.doing("getting ready (a first start compiles the model: minutes)")
+        progress.doing("getting ready")
         prepared = _prepare(flight, options, p, progress)
         if not options.in_process:
             progress.doing("waiting for the log's process")
@@ -111,7 +113,7 @@ def _run(flight: Flight, options: Options, progress: Progress) -> tuple[Summary,
         sink = _DecisionSink(p.log, _track(flight), progress.say)
         p.share_processors()
         if not options.in_process:
-            progress.doing("waiting for the simulator (a first start compiles the model)")
+            progress.doing("waiting for the simulator")
         with _interrupts() as interrupted:
             if p.simulator is not None and not p.simulator.wait_ready(lambda: not interrupted()):
                 reason = p.simulator.failure or "interrupted by the user"

@@ -42,7 +42,7 @@ def serve(flight: Flight, serving: Serving, launch: Path | None = None) -> None:
     for note in flight.notes:
         console.print(note)
     with telling(flight.scenario.name) as tell:
-        tell("getting ready (a first start compiles the model: minutes)")
+        tell("getting ready")
         server = server_of(settings(flight, serving), sink)
     signal.signal(signal.SIGINT, stop)
     signal.signal(signal.SIGTERM, stop)

@@ -19,7 +19,13 @@ from missions.scenario.flights import Flight
 
 
 def warm_up(design: Design, flight: Flight) -> None:
-    """Compile what the loop calls before a clock runs: one decision and the messages it takes."""
+    """Compile what the loop calls before a clock runs: one decision, the messages it takes, and what observes."""
+    decide_once(design, flight)
+    observe_once(flight)
+
+
+def decide_once(design: Design, flight: Flight) -> None:
+    """One decision and the messages it takes."""
     here = at(flight.trajectory, 0.0)
     law = laws.law_of(flight)
     _, sample = law.step(design, law.first(design), Measurement(0.0, flight.initial), here)
@@ -38,8 +44,13 @@ def warm_up(design: Design, flight: Flight) -> None:
     setpoints.tell(0, sample.R_c, [0.5] * len(setpoints))
     setpoints.framed(bytes(len(setpoints)), bytes(len(setpoints)), 1, 0)
     positions(flight.system, flight.initial)
+
+
+def observe_once(flight: Flight) -> None:
+    """One prediction and one correction, where a flight has an observer."""
     filter = laws.filter(flight)
     if filter is not None:
+        still = flight.initial
         belief = Belief(flight.initial.copy(), np.zeros((len(flight.system.m) + 1, 3)))
         level = Setpoint.attitude(flight.initial.R, np.zeros(len(flight.system.m)))
         belief = predicted(filter, belief, level, flight.physics_us * 1e-6, 1)

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from cablequad._threads import in_one_thread
 from cablequad.control.design import Design, DesignError, Weights
 from cablequad.control.estimator import Estimator, Filter, estimator
 from cablequad.control.law import LAWS, Controller, Loop
@@ -17,6 +18,7 @@ def weights(flight: Flight) -> Weights:
     return Weights(w.position, w.velocity, w.attitude, w.body_rate, w.link_direction, w.link_rate, w.force, w.lasting)
 
 
+@in_one_thread
 def estimator_of(flight: Flight) -> Estimator:
     """The observer of what the scenario's sensing leaves or blurs, told how noisy the sensors are."""
     period, sensing = flight.control_us * 1e-6, flight.scenario.control.sensing
@@ -47,6 +49,7 @@ def designed_for(flight: Flight, airframe: Airframe) -> Loop:
     return Loop(airframe, weights(flight), flight.control_us * 1e-6, flight.scenario.control.delay_ticks)
 
 
+@in_one_thread
 def design(flight: Flight) -> Design:
     """The controller of a flight. Raises ScenarioError where the system has no equilibrium or no stabilising gains."""
     try:

@@ -7,9 +7,11 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, wait
 from multiprocessing import connection, resource_tracker
 from multiprocessing.process import BaseProcess
+
+from cablequad._threads import children_with_one_thread
 
 FROM_TERMINAL = frozenset({signal.SIGINT, signal.SIGHUP})  # sent to all processes of a terminal
 
@@ -39,10 +41,26 @@ def without_main() -> Iterator[None]:
 
 @contextlib.contextmanager
 def worker_pool(count: int) -> Iterator[ProcessPoolExecutor]:
-    """Processes for independent work, which end with this one, however it ends."""
+    """Processes for independent work, which end with this one, however it ends, and where an error leaves the block."""
     context = multiprocessing.get_context("spawn")
-    with without_main(), ProcessPoolExecutor(count, context, initializer=end_with_parent) as pool:
-        yield pool
+    others = set(multiprocessing.active_children())
+    with children_with_one_thread(), without_main(), ProcessPoolExecutor(count, context, initializer=_work) as pool:
+        with _interrupts_later():
+            begun = [pool.submit(int) for _ in range(count)]  # each starts a process, as none is idle yet
+        workers = set(multiprocessing.active_children()) - others
+        try:
+            wait(begun)
+            yield pool
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            for worker in workers:
+                worker.kill()
+            raise
+
+
+def _work() -> None:
+    leave_to_parent()
+    end_with_parent()
 
 
 def end_with_parent() -> None:
@@ -63,6 +81,13 @@ def begin(process: BaseProcess) -> None:
     It comes with the interrupt blocked, as it cannot ignore one before its own code runs, and that takes a second to
     load. What interrupts us meanwhile does so once it is told all that it needs.
     """
+    with _interrupts_later(), without_main(), children_with_one_thread():
+        process.start()
+
+
+@contextlib.contextmanager
+def _interrupts_later() -> Iterator[None]:
+    """Meanwhile what a terminal sends to all is blocked, here and for good in what starts; then it comes."""
     resource_tracker.ensure_running()  # it lets interrupts through again when it starts
     came: list[int] = []
     try:  # a library's thread may take what is blocked in this one
@@ -71,8 +96,7 @@ def begin(process: BaseProcess) -> None:
         handler = None
     before = signal.pthread_sigmask(signal.SIG_BLOCK, FROM_TERMINAL)
     try:
-        with without_main():
-            process.start()
+        yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
         if handler is not None:
