@@ -24,6 +24,8 @@ from cablequad.analysis.rollout import LoopTiming, rollout
 from cablequad.control.trajectory import at
 from logs.reading.reader import read
 from logs.reading.records import entries
+from missions.flight.options import Options, Progress
+from missions.flight.run import run as fly_it
 from missions.scenario import laws
 from missions.scenario import loading as scenario
 
@@ -94,24 +96,47 @@ def test_the_controller_heard_what_the_simulator_did(case_1: dict) -> None:
     np.testing.assert_allclose(control["link_direction"], plant["link_direction"][rows], rtol=0, atol=1e-6)
 
 
-@pytest.mark.parametrize("name", ["paper-case-1", "mixed-fleet", "lossy-link", "lemniscate-vehicles"])
-def test_one_seed_gives_one_log_over_sockets_and_in_one_process(name: str, tmp_path: Path, offset: int) -> None:
-    logs = []
-    for sockets in (True, False):
-        run = flown(
-            name, "--out", str(tmp_path), "--no-replay", "--duration", "1.5", "--port-offset",
-            str(offset), sockets=sockets,
-        )  # fmt: skip
-        by_topic: dict[str, list] = defaultdict(list)
-        for entry in entries(Path(run["log"])):
-            if entry.topic != "/perf":
-                by_topic[entry.topic].append((entry.log_time, entry.data))
-        logs.append(by_topic)
-    assert logs[0].keys() == logs[1].keys()
-    for topic in logs[0]:
-        assert len(logs[0][topic]) == len(logs[1][topic]), topic
-        for k, (a, b) in enumerate(zip(logs[0][topic], logs[1][topic], strict=True)):
-            assert a == b, (topic, k, a[0], b[0])
+def messages(name: str, folder: Path, duration_s: float, **options: Any) -> dict[str, list[tuple[int, bytes]]]:
+    """By topic: when, and what, of a flight."""
+    flight = scenario.load(name, duration_s=duration_s)
+    summary, _ = fly_it(flight, Options(out=folder, **options), Progress())
+    by_topic: dict[str, list[tuple[int, bytes]]] = defaultdict(list)
+    for entry in entries(Path(str(summary.log))):
+        if entry.topic != "/perf":
+            by_topic[entry.topic].append((entry.log_time, entry.data))
+    return by_topic
+
+
+def same(a: dict[str, list[tuple[int, bytes]]], b: dict[str, list[tuple[int, bytes]]]) -> bool:
+    """Whether two logs are equal; says where they part."""
+    assert a.keys() == b.keys()
+    for topic in a:
+        assert len(a[topic]) == len(b[topic]), topic
+        for k, (one, other) in enumerate(zip(a[topic], b[topic], strict=True)):
+            assert one == other, (topic, k, one[0], other[0])
+    return True
+
+
+KEY = bytes(range(32))
+
+
+@pytest.mark.parametrize(
+    ("name", "signed"), [*((name, False) for name in scenario.names()), ("mixed-fleet", True), ("lossy-link", True)]
+)
+def test_one_seed_gives_one_log_over_sockets_and_in_one_process(
+    name: str, signed: bool, tmp_path: Path, offset: int
+) -> None:
+    key = KEY if signed else None
+    over_sockets = messages(name, tmp_path, 1.0, port_offset=offset, signing_key=key)
+    assert same(over_sockets, messages(name, tmp_path, 1.0, in_process=True, signing_key=key))
+
+
+def test_no_flight_leaves_anything_to_the_next_one_in_its_process(tmp_path: Path) -> None:
+    first = messages("ground-to-ground", tmp_path, 1.0, in_process=True)
+    others = [name for _ in range(3) for name in scenario.names()][:40]
+    for k, name in enumerate(others):
+        messages(name, tmp_path / str(k), 0.1, in_process=True)
+    assert same(first, messages("ground-to-ground", tmp_path, 1.0, in_process=True))
 
 
 def test_failed_criteria_are_named_and_exit_with_one(tmp_path: Path, offset: int) -> None:
