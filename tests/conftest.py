@@ -25,6 +25,8 @@ from cablequad.model import lie
 from cablequad.model.state import State
 from cablequad.model.system import Cable, Payload, Quadrotor, System
 
+for ending in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # whoever starts us may ignore them, and so would all
+    signal.signal(ending, signal.default_int_handler if ending == signal.SIGINT else signal.SIG_DFL)
 threadpool_limits(1, "blas")
 one_thread()  # what starts here
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # hundreds of processes start here: what one compiles, all may load

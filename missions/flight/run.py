@@ -160,7 +160,8 @@ def _summarized(
 ) -> Summary:  # fmt: skip
     """Judge the flight by its log, and close that with what came of it."""
     log, link, simulator = p.log, p.link, p.simulator
-    judged = log.judged(outcome.completed or outcome.reason.startswith(PART))
+    in_order = simulator is not None and simulator.failure is None and not (outcome.interrupted or outcome.untested)
+    judged = log.judged(outcome.completed or outcome.reason.startswith(PART) or (p.lockstep and in_order))
     if judged.followed is not None:  # the simulator knows every link's tension; the tracker told the load's end
         sink.track.min_tension_N = judged.smallest_tension_N
     missed = 0

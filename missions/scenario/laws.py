@@ -4,12 +4,14 @@ import numpy as np
 
 from cablequad._threads import in_one_thread
 from cablequad.control.design import Design, DesignError, Weights
-from cablequad.control.estimator import Estimator, Filter, estimator
+from cablequad.control.estimator import Estimator, Filter, Sensing, estimator
 from cablequad.control.law import LAWS, Controller, Loop
 from cablequad.model.attitude import Airframe
 from cablequad.model.linear import EquilibriumError
 from cablequad.model.noise import Noise
+from cablequad.model.system import System
 from missions.scenario.flights import Flight, ScenarioError
+from missions.scenario.remembered import remembered
 
 
 def weights(flight: Flight) -> Weights:
@@ -18,11 +20,15 @@ def weights(flight: Flight) -> Weights:
     return Weights(w.position, w.velocity, w.attitude, w.body_rate, w.link_direction, w.link_rate, w.force, w.lasting)
 
 
-@in_one_thread
 def estimator_of(flight: Flight) -> Estimator:
     """The observer of what the scenario's sensing leaves or blurs, told how noisy the sensors are."""
+    return estimator_for(flight, flight.system, flight.airframe)
+
+
+def estimator_for(flight: Flight, system: System, airframe: Airframe) -> Estimator:
+    """The same for a part of the flight. Raises EquilibriumError, LinAlgError."""
     period, sensing = flight.control_us * 1e-6, flight.scenario.control.sensing
-    return estimator(flight.system, flight.airframe, period, sensing, noise(flight))
+    return _estimator(system, airframe, period, sensing, noise(flight))
 
 
 def filter(flight: Flight) -> Filter | None:
@@ -49,11 +55,27 @@ def designed_for(flight: Flight, airframe: Airframe) -> Loop:
     return Loop(airframe, weights(flight), flight.control_us * 1e-6, flight.scenario.control.delay_ticks)
 
 
+def design_for(flight: Flight, system: System, airframe: Airframe) -> Design:
+    """The controller of a part of the flight. Raises DesignError, EquilibriumError, LinAlgError."""
+    return _design(flight.scenario.control.law, system, designed_for(flight, airframe))
+
+
+@remembered
 @in_one_thread
+def _design(law: str, system: System, loop: Loop) -> Design:
+    return LAWS[law].design(system, loop)
+
+
+@remembered
+@in_one_thread
+def _estimator(system: System, airframe: Airframe, period: float, sensing: Sensing, noise: Noise) -> Estimator:
+    return estimator(system, airframe, period, sensing, noise)
+
+
 def design(flight: Flight) -> Design:
     """The controller of a flight. Raises ScenarioError where the system has no equilibrium or no stabilising gains."""
     try:
-        return law_of(flight).design(flight.system, designed_for(flight, flight.airframe))
+        return design_for(flight, flight.system, flight.airframe)
     except (EquilibriumError, DesignError) as error:
         raise ScenarioError(f"scenario {flight.scenario.name}: {error}") from None
     except (np.linalg.LinAlgError, ArithmeticError) as error:

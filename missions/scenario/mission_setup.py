@@ -12,7 +12,7 @@ from bridge.mission.plan import MissionPlan
 from bridge.mission.protection.guards import Guard
 from bridge.mission.scale import ARM_M, Scale, scale_of
 from cablequad.control.design import Design, DesignError
-from cablequad.control.estimator import Filter, estimator
+from cablequad.control.estimator import Filter
 from cablequad.control.trajectory import Trajectory
 from cablequad.model.attitude import Airframe
 from cablequad.model.linear import EquilibriumError, equilibrium
@@ -82,14 +82,13 @@ def contingencies(flight: Flight, design: Design) -> Contingencies:
     n = len(whole.m)
     if n == 1 or s.mission is None or not s.mission.protect:
         return Contingencies(law, designs, filters)
-    period = flight.control_us * 1e-6
     for i in range(n):
         rest = [k for k in range(n) if k != i]
         system = without(whole, [i])
         air = Airframe(*(np.ascontiguousarray(field[rest]) for field in flight.airframe))
         try:
-            spared = law.design(system, laws.designed_for(flight, air))
-            seen = estimator(system, air, period, s.control.sensing, laws.noise(flight)) if blur is not None else None
+            spared = laws.design_for(flight, system, air)
+            seen = laws.estimator_for(flight, system, air) if blur is not None else None
         except (DesignError, EquilibriumError, np.linalg.LinAlgError):
             continue
         designs[frozenset({i})] = spared
