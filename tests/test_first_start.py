@@ -6,8 +6,10 @@ import sys
 from pathlib import Path
 
 import pytest
+import typer
 
 from cablequad import _jit
+from missions.cli import main as cli
 from missions.cli import options
 from missions.flight import compiled
 from missions.flight.compiled import Part
@@ -35,7 +37,7 @@ def test_the_first_command_compiles_and_the_second_does_not(
 ) -> None:
     part = Part("the model", print, ("",))
     warmed(monkeypatch, tmp_path / "all" / "cpu", part)
-    said = capsys.readouterr().err.splitlines()
+    said = [line for line in capsys.readouterr().err.splitlines() if not line.endswith(" s)")]
     assert said[0] == "cablequad: first start: compiling, once: 0 of 2 done; now the model"
     assert said[-1] == "cablequad: first start: compiling, once: 1 of 2 done; now the rest"
     warmed(monkeypatch, tmp_path / "all" / "cpu", part)
@@ -49,6 +51,10 @@ def test_where_compiling_fails_a_command_goes_on_and_the_next_one_tries_again(
 ) -> None:
     mark = tmp_path / "all" / "cpu"
     warmed(monkeypatch, mark, Part("what ends its process", os.abort, ()))
+    assert not mark.exists()
+    with pytest.raises(typer.Exit) as ended:
+        cli.warm_up()
+    assert ended.value.exit_code == 1
     assert not mark.exists()
 
 

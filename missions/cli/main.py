@@ -4,6 +4,7 @@ import io
 import json
 import math
 import sys
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -264,9 +265,12 @@ def warm_up() -> None:
     from missions.flight.compiled import compile_all
     from missions.flight.terminal import telling
 
+    begun = time.monotonic()
     with telling("warm-up") as tell:
-        seconds = compile_all(tell)
-    print(f"compiled in {seconds:.0f} s")
+        whole = compile_all(tell)
+    if not whole:
+        fail("warm-up: a process that compiles ended early; is there memory and room on the disk? Try it again")
+    print(f"compiled in {time.monotonic() - begun:.0f} s")
 
 
 @app.command("signing-key")

@@ -5,9 +5,8 @@ Whoever needs something first would compile it piece by piece in one process, an
 
 import os
 import tempfile
-import time
-from collections.abc import Callable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, wait
+from collections.abc import Callable
+from concurrent.futures import FIRST_COMPLETED, wait
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import NamedTuple
@@ -26,6 +25,7 @@ from missions.flight.warm_up import decide_once, observe_once, predict_once
 from missions.scenario import laws
 from missions.scenario.loading import load
 from sitl.settings import plant_of
+from sitl.untethered_plant import UntetheredPlant
 
 FLOWN_S = 0.2
 
@@ -45,12 +45,11 @@ def ensure() -> None:
             compile_all(tell)
 
 
-def compile_all(tell: Callable[[str], None]) -> float:
-    """Compile all that is not there yet, and say how far it is; the seconds that it took.
+def compile_all(tell: Callable[[str], None]) -> bool:
+    """Compile all that is not there yet, and say how far it is; whether that could be done.
 
     What does not succeed is compiled when it is needed.
     """
-    begun = time.monotonic()
     count = min(os.cpu_count() or 1, len(LARGE))
     done, all_of = 0, len(LARGE) + len(REST)
     try:
@@ -58,24 +57,30 @@ def compile_all(tell: Callable[[str], None]) -> float:
             for together in (LARGE, REST):  # the rest calls what is large
                 waiting = {pool.submit(part.make, *part.of): part.name for part in together}
                 while waiting:
-                    tell(f"compiling, once: {done} of {all_of} done; now {', '.join(_under_way(waiting, count))}")
+                    tell(f"compiling, once: {done} of {all_of} done; now {', '.join(list(waiting.values())[:count])}")
                     ended, _ = wait(waiting, return_when=FIRST_COMPLETED)
                     for future in ended:
                         future.result()
                         del waiting[future]
                         done += 1
     except (BrokenProcessPool, OSError):
-        return time.monotonic() - begun
+        return False
     mark_all_kept()
-    return time.monotonic() - begun
-
-
-def _under_way(waiting: dict[Future[None], str], count: int) -> Iterator[str]:
-    yield from list(waiting.values())[:count]
+    return True
 
 
 def _plant(name: str) -> None:
     plant_of(settings(load(name), Serving(lockstep=True, await_controller=True)))
+
+
+def _driven(name: str) -> None:
+    values = settings(load(name), Serving(lockstep=True, await_controller=True))
+    plant_of(values._replace(around=values.around._replace(driven=True)))
+
+
+def _untethered(name: str) -> None:
+    flight = load(name)
+    UntetheredPlant(flight.system, flight.airframe, flight.initial, flight.physics_us * 1e-6)
 
 
 def _law(name: str) -> None:
@@ -110,4 +115,6 @@ LARGE = (
 REST = (
     Part("sensors, messages and the log", _flight, ("ground-to-ground", "px4")),
     Part("the same for one vehicle", _flight, ("one-vehicle", "arducopter")),
+    Part("vehicles without a load", _untethered, ("ground-to-ground",)),
+    Part("vehicles that autopilots fly", _driven, ("ground-to-ground",)),
 )

@@ -17,6 +17,7 @@ from logs.views.results import rows
 from missions.flight.run import Progress
 from missions.flight.summary import Summary
 
+SOON_S = 2.0  # nothing is said of how long something takes before
 LINE_S = 10.0  # wall clock, between lines that say how far something is
 
 
@@ -131,7 +132,7 @@ def telling(name: str) -> Iterator[Callable[[str], None]]:
         while not ended.wait(LINE_S if spinner is None else 1.0):
             if spinner is not None:
                 spinner.update(doing.text(True))
-            elif doing.what:
+            elif doing.what and doing.took_s >= SOON_S:
                 _line(doing.text(True))
 
     thread = threading.Thread(target=again, name="progress", daemon=True)
@@ -153,9 +154,14 @@ class _Doing:
     def now(self, what: str) -> None:
         self.what, self._since = what, time.monotonic()
 
+    @property
+    def took_s(self) -> float:
+        """Seconds so far."""
+        return time.monotonic() - self._since
+
     def text(self, how_long: bool = False) -> str:
-        took = time.monotonic() - self._since
-        return f"{self._name}: {self.what}" + (f" ({took:.0f} s)" if how_long and took >= 2.0 else "")
+        took = self.took_s
+        return f"{self._name}: {self.what}" + (f" ({took:.0f} s)" if how_long and took >= SOON_S else "")
 
 
 def table(s: Summary) -> None:
