@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from cablequad.control.law import LAWS
 from cablequad.model.system import System
 from missions.scenario import laws, remembered
 from missions.scenario.loading import load
@@ -13,19 +14,19 @@ def test_equal_arguments_are_computed_once_and_everybody_has_a_copy() -> None:
     computed: list[System] = []
 
     @once
-    def masses(system: System, times: float) -> np.ndarray:
+    def masses(_: object, system: System, times: float) -> np.ndarray:
         computed.append(system)
         return times * system.m
 
-    a = masses(System.paper(1), 2.0)
+    a = masses(None, System.paper(1), 2.0)
     a[:] = 0.0
-    assert masses(System.paper(1), 2.0).tolist() == (2.0 * System.paper(1).m).tolist()
+    assert masses(None, System.paper(1), 2.0).tolist() == (2.0 * System.paper(1).m).tolist()
     assert len(computed) == 1
-    masses(System.paper(1), 3.0)
-    masses(System.paper(2), 2.0)
+    masses(None, System.paper(1), 3.0)
+    masses(None, System.paper(2), 2.0)
     heavier = System.paper(1)
     heavier.m[2] = np.nextafter(heavier.m[2], 2.0)  # the last bit counts
-    masses(heavier, 2.0)
+    masses(None, heavier, 2.0)
     assert len(computed) == 4
 
 
@@ -34,16 +35,25 @@ def test_errors_are_not_kept_and_old_values_are_given_up(monkeypatch: pytest.Mon
     computed: list[int] = []
 
     @once
-    def inverse(value: int) -> float:
+    def inverse(_: object, value: int) -> float:
         computed.append(value)
         return 1 / value
 
     for _ in range(2):
         with pytest.raises(ZeroDivisionError):
-            inverse(0)
+            inverse(None, 0)
     for value in (1, 2, 1, 3, 1, 2):
-        inverse(value)
+        inverse(None, value)
     assert computed == [0, 0, 1, 2, 3, 2]
+
+
+def test_another_law_of_the_same_name_designs_for_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    flight = load("paper-case-1")
+    ours = laws.design(flight)
+    monkeypatch.setitem(LAWS, "sampled", LAWS["paper"])
+    assert laws.design(flight).K_x.tolist() != ours.K_x.tolist()
+    monkeypatch.undo()
+    assert laws.design(flight).K_x.tolist() == ours.K_x.tolist()
 
 
 def test_a_design_is_the_same_bit_by_bit_when_it_is_taken_again() -> None:

@@ -1,5 +1,7 @@
 """What decides in a flight and what observes it, by [control] and [sensors]."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from cablequad._threads import in_one_thread
@@ -12,6 +14,8 @@ from cablequad.model.noise import Noise
 from cablequad.model.system import System
 from missions.scenario.flights import Flight, ScenarioError
 from missions.scenario.remembered import remembered
+
+MakeEstimator = Callable[[System, Airframe, float, Sensing, Noise], Estimator]
 
 
 def weights(flight: Flight) -> Weights:
@@ -28,7 +32,7 @@ def estimator_of(flight: Flight) -> Estimator:
 def estimator_for(flight: Flight, system: System, airframe: Airframe) -> Estimator:
     """The same for a part of the flight. Raises EquilibriumError, LinAlgError."""
     period, sensing = flight.control_us * 1e-6, flight.scenario.control.sensing
-    return _estimator(system, airframe, period, sensing, noise(flight))
+    return _estimator(estimator, system, airframe, period, sensing, noise(flight))
 
 
 def filter(flight: Flight) -> Filter | None:
@@ -57,19 +61,21 @@ def designed_for(flight: Flight, airframe: Airframe) -> Loop:
 
 def design_for(flight: Flight, system: System, airframe: Airframe) -> Design:
     """The controller of a part of the flight. Raises DesignError, EquilibriumError, LinAlgError."""
-    return _design(flight.scenario.control.law, system, designed_for(flight, airframe))
+    return _design(law_of(flight), system, designed_for(flight, airframe))
 
 
 @remembered
 @in_one_thread
-def _design(law: str, system: System, loop: Loop) -> Design:
-    return LAWS[law].design(system, loop)
+def _design(law: Controller, system: System, loop: Loop) -> Design:
+    return law.design(system, loop)
 
 
 @remembered
 @in_one_thread
-def _estimator(system: System, airframe: Airframe, period: float, sensing: Sensing, noise: Noise) -> Estimator:
-    return estimator(system, airframe, period, sensing, noise)
+def _estimator(
+    make: MakeEstimator, system: System, airframe: Airframe, period: float, sensing: Sensing, noise: Noise
+) -> Estimator:
+    return make(system, airframe, period, sensing, noise)
 
 
 def design(flight: Flight) -> Design:
